@@ -43,7 +43,7 @@ app.add_typer(recordings.reconstruct_app)
 def say_version(wanted: bool) -> None:
     """What a report of trouble should begin with."""
     if wanted:
-        from replay.files.environment import environment
+        from replay.files.mcap_file import environment
 
         about = environment()
         changed = " with changes" if about["dirty"] == "yes" else ""

@@ -15,12 +15,11 @@ from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Sighting
 from replay.files import channels
 from replay.files.channels import entry_on
-from replay.files.clock_rate import RateNotes
 from replay.files.frames import frame_entries
+from replay.files.info import RateNotes
 from replay.files.log import LogWriter
-from replay.files.names import unused
-from replay.viewers.viewer_channels import ViewerChannels
-from replay.viewers.whole_sweeps import MeasureDepth
+from replay.files.mcap_file import unused
+from replay.viewers.viewer_channels import MeasureDepth, ViewerChannels
 
 
 def black_box_log(

@@ -9,10 +9,11 @@ import json
 import logging
 import threading
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 from agent.clock import machine
 from agent.clock.clock import Clock
@@ -21,16 +22,69 @@ from agent.core.codec import Refusal, decode
 from agent.core.config import ConfigError, Fleet, dump
 from agent.core.messages import SCHEMA
 from agent.core.topics import Topic
-from replay.files.auto_recover import recovering, torn_files
-from replay.files.backlog import Backlog, Entry
-from replay.files.channels import NETWORK, PRESENCE, name
-from replay.files.clock_rate import RateNotes
-from replay.files.environment import environment
+from replay.files.channels import NETWORK, PRESENCE, Backlog, Entry, name
+from replay.files.info import RateNotes
 from replay.files.log import Limits, LogWriter, drop_note, parts, unused
-from replay.roll_call import RollCall
+from replay.files.mcap_file import environment
+from replay.files.recover import recovering, torn_files
+from replay.viewers.layout import foxglove_layout, shipped
 from replay.viewers.viewer_channels import ViewerChannels
-from router_config.door import Sample, Session, unusable
-from router_config.session import observer_config
+from router_config.session import Sample, Session, unusable
+from router_config.settings import observer_config
+
+# @@ roll_call
+# Who of a fleet is heard and who is not, for a person who waits for it: said once, and again when it changes.
+
+SILENCE_S = 3.0  # of the wall: a fleet's own clock stands while there is no twin. Links are up within one
+NAMED = 5  # robots in a line
+
+
+class RollCall:
+    """`look` is given the names of all who were heard so far, again and again; `say` gets a line for a person."""
+
+    def __init__(self, fleet: Fleet, say: Callable[[str], None]) -> None:
+        self._fleet, self._say = fleet, say
+        self._told: frozenset[str] | None = None  # who was heard when it was last said; None: too early to tell
+        self._until_s = machine.monotonic_s() + SILENCE_S
+
+    def look(self, heard: Collection[str]) -> None:
+        """Say after a while who is missing, and then who has come for the first time."""
+        now = frozenset(self._fleet.robot).intersection(heard)
+        if self._told is None:
+            if machine.monotonic_s() >= self._until_s:
+                self._told = now
+                if line := self._first_line():
+                    self._say(line)
+        elif new := now - self._told:
+            self._told = now
+            missing = f"; still not heard: {self._where(self._missing())}" if self._missing() else "; that is all"
+            self._say(f"{', '.join(sorted(new))} is heard now{missing}")
+
+    def end(self) -> None:
+        """Say who is still missing."""
+        if self._told is not None and self._missing():
+            self._say(f"never heard: {self._where(self._missing())}")
+
+    def _missing(self) -> list[str]:
+        return [name for name in self._fleet.robot if name not in (self._told or ())]
+
+    def _first_line(self) -> str | None:
+        if not self._missing():
+            return None
+        where = self._where(self._missing())
+        if not self._told:
+            return (
+                f"nobody of fleet '{self._fleet.fleet}' is heard yet: {where}; start the agents, or give the fleet "
+                f"file that they were started with"
+            )
+        return f"not heard yet: {where}; start it with aucamp agent, or correct its address in the fleet file"
+
+    def _where(self, names: Iterable[str]) -> str:
+        said = [f"{name} at {self._fleet.robot[name].listen}" for name in names]
+        return ", ".join(said if len(said) <= NAMED else [*said[:NAMED], f"{len(said) - NAMED} more"])
+
+
+# @@ recorder
 
 logger = logging.getLogger(__name__)
 
@@ -217,3 +271,85 @@ def receiving(fleet: Fleet, arrivals: Arrivals, process: str, keys: Path | None 
         session.subscribe(topics.ALL.format(**anyone), arrivals.stranger)
         session.watch_tokens(topics.ALIVE.format(**anyone), arrivals.token)
         yield
+
+
+# @@ view
+# The fleet live in Foxglove: the viewer channels of a recording, over a WebSocket on this machine alone.
+#
+# Only what robots show on the network is there, previews of their cameras included; the frames themselves stay on the
+# robots' own computers, in their black boxes.
+
+HOST = "127.0.0.1"  # whoever can reach the port sees everything: other hosts come through ssh -L
+PORT = 8765  # Foxglove's own
+
+
+def view(
+    fleet: Fleet,
+    stop: threading.Event,
+    clock: Clock,
+    port: int = PORT,
+    say: Callable[[str], None] = lambda line: None,
+    keys: Path | None = None,
+) -> None:
+    """Serve until `stop` is set. Raises ConfigError without the extra `view`, or if the port is taken.
+
+    `say` gets lines for a person: where to look, and who is not heard. `keys`: the folder of a secured fleet's
+    certificates.
+    """
+    try:
+        import foxglove  # the SDK, an extra; our own module of that name is replay.viewers.foxglove
+    except ImportError:
+        raise ConfigError("the live view needs the extra `view`; in your clone: pip install -e '.[view]'") from None
+    arrivals, rate, derive = Arrivals(clock.now_ns), RateNotes(clock), ViewerChannels(fleet)
+    context = foxglove.Context()
+    channels: dict[str, Any] = {}
+
+    def show(entry: Entry) -> None:
+        if entry.channel not in channels and len(channels) == CHANNELS:
+            raise ValueError("too many channels")
+        if entry.channel not in channels and entry.schema is not None:
+            schema = foxglove.Schema(**entry.schema._asdict())
+            channels[entry.channel] = foxglove.Channel(
+                entry.channel, schema=schema, message_encoding=entry.encoding, context=context
+            )
+        channels[entry.channel].log(entry.data, log_time=entry.log_time_ns)
+
+    with receiving(fleet, arrivals, "view", keys):
+        try:
+            server = foxglove.start_server(name=f"aucamp {fleet.fleet}", host=HOST, port=port, context=context)
+        except RuntimeError as error:
+            raise ConfigError(f"port {port} of {HOST}: {error}; choose another with --port") from None
+        try:
+            say(f"open a connection to ws://{HOST}:{port} in Foxglove; {where_the_layout_is(fleet)}; Ctrl-C ends it")
+            roll = RollCall(fleet, say)
+            while not machine.wait(stop, PERIOD_S):
+                for entry in (*arrivals.drain(), *rate.due()):
+                    show_all_of(entry, derive, show, arrivals.trouble)
+                roll.look(arrivals.robots)
+            roll.end()
+            if arrivals.raised:
+                say(f"not shown: {', '.join(f'{count} messages {kind}' for kind, count in arrivals.raised.items())}")
+        finally:
+            server.stop()
+
+
+def show_all_of(
+    entry: Entry,
+    derive: Callable[[Entry], Iterable[Entry]],
+    show: Callable[[Entry], None],
+    trouble: Callable[[str, Exception], None],
+) -> None:
+    """Show what follows from one message. Where it raises, `trouble` is told, and the next one is shown as ever."""
+    try:
+        for derived in derive(entry):
+            show(derived)
+    except Exception as error:  # noqa: BLE001 - whatever a message does, the view goes on
+        trouble(entry.channel, error)
+
+
+def where_the_layout_is(fleet: Fleet) -> str:
+    """Words for a person: the one that comes with us, if it fits the fleet."""
+    path = shipped("foxglove.json")
+    if json.loads(path.read_text(encoding="utf-8")) == foxglove_layout(fleet):
+        return f"the layout is {path}"
+    return "`aucamp replay layout` writes a layout for this fleet"

@@ -21,7 +21,7 @@ from agent.process.command import (
 )
 from agent.process.launch import until_signal
 from agent.robot.fleet_reader import load_fleet
-from router_config.session import ROUTER, ROUTER_LISTEN
+from router_config.settings import ROUTER, ROUTER_LISTEN
 
 ALONE_S, WITH_PAGE_S = 120.0, 1800.0  # time limits of a dive that nobody looks at, and of one with a page
 

@@ -21,7 +21,7 @@ app = typer.Typer(no_args_is_help=True, help="Look into recordings.")
 @app.command("info", epilog="Example: aucamp replay info runs/20260101T120000Z/r1.mcap")
 def replay_info(files: Runs, as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False) -> None:
     """What happened in a dive, what is in its recording, and whether that is whole."""
-    from replay.story.told import info_all
+    from replay.story import info_all
 
     info_all(files, as_json, typer.echo)
 
@@ -47,9 +47,8 @@ def replay_check(
     reason: Annotated[str, typer.Option(help="Why the outputs may change; goes into the file.")] = "",
 ) -> None:
     """Does today's code do what the recording says? Byte for byte; exit 1 if not, 2 if it cannot be checked."""
-    from replay.check.check import check, text
-    from replay.check.update import update_recordings
-    from replay.files.auto_recover import auto_recovered
+    from replay.check.check import check, text, update_recordings
+    from replay.files.recover import auto_recovered
 
     bar = plain_console(stderr=True)
     if update:
@@ -77,7 +76,7 @@ def replay_explain(
 ) -> None:
     """Why a robot believed what it believed: whom it heard, with which weights."""
     from replay.check.explain import explain
-    from replay.files.auto_recover import auto_recovered
+    from replay.files.recover import auto_recovered
 
     (there,) = auto_recovered([file], complain)
     typer.echo(explain(there, at))
@@ -92,7 +91,7 @@ def replay_report(
 ) -> None:
     """One page with the run's figures: report.html in its folder."""
     from agent.perception.depth_sweep import sweep_depth
-    from replay.files.auto_recover import auto_recovered
+    from replay.files.recover import auto_recovered
     from replay.report.report import page_of, report
 
     if out is not None:
@@ -143,10 +142,8 @@ def export_command(
     ] = None,
 ) -> None:
     """A recording for other programs: tables, a film, or lines of JSON."""
-    from replay.export.film import write_film
-    from replay.export.json_lines import write_lines
-    from replay.export.tables import write_tables
-    from replay.files.auto_recover import auto_recovered
+    from replay.export import write_film, write_lines, write_tables
+    from replay.files.recover import auto_recovered
 
     if as_csv + as_mp4 + as_json != 1:
         raise ConfigError("say what to write: one of --csv, --mp4 and --json")
@@ -215,7 +212,7 @@ def reconstruct_command(
     from agent.reconstruction.export import Kind
     from agent.reconstruction.image_model import ImageSettings
     from agent.reconstruction.run import Settings, run
-    from replay.files.auto_recover import auto_recovered
+    from replay.files.recover import auto_recovered
 
     assert get_args(Kind) == KINDS
     if bool(runs) == (transforms is not None):

@@ -22,7 +22,7 @@ import numpy as np
 from agent.core.capability_messages import Claim
 from agent.core.config import Fleet
 from agent.core.messages import State, Symmetric, Vector
-from replay.check.black_box import black_boxes, open_boxes
+from replay.check.reexecute import black_boxes, open_boxes
 from replay.report.creature_track import CreatureTrack, Held, creature_track
 
 # @@ coverage

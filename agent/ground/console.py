@@ -25,8 +25,8 @@ from agent.robot.fleet_reader import load_robot
 from agent.robot.operator import why_closed
 from agent.robot.verbs import CLOCK, URGENT, arguments, prepare_all
 from hw.firmware.parameters import NAMES, TABLE
-from router_config.door import Reply, Sample, Session, unusable
-from router_config.session import observer_config
+from router_config.session import Reply, Sample, Session, unusable
+from router_config.settings import observer_config
 
 ANSWER_S = 1.0  # a robot answers with its next step: 50 ms
 HEARD_S = 2.0  # a link is there in less than one, and states come five times a second

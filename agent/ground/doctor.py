@@ -28,8 +28,7 @@ from agent.process.launch import addresses_of
 from agent.process.transport import LOOKER, fleet_clock
 from agent.robot.fleet_reader import load_fleet
 from agent.robot.operator import why_closed
-from router_config.metadata import metadata
-from router_config.session import observer_config
+from router_config.settings import metadata, observer_config
 
 # @@ judge
 # What a look at a running fleet means: one line for each thing that is not as it should be. Pure.

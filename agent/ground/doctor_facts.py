@@ -20,7 +20,7 @@ from agent.core.messages import Answer, Order, State
 from agent.core.topics import STATE
 from agent.ground.check_files import Finding
 from agent.process.launch import addresses_of
-from router_config.door import Link, Reply, Sample, Session, unusable
+from router_config.session import Link, Reply, Sample, Session, unusable
 
 # @@ clocks
 # How far away robots are, and how far their clocks are from ours. Pure, but for asking.

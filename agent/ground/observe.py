@@ -20,8 +20,7 @@ from agent.process.command import Failed, new_recording
 from agent.process.keys import VARIABLE
 from agent.process.transport import Observer, fleet_clock
 from agent.robot.fleet_reader import load_fleet
-from replay.recorder import record
-from replay.view import view
+from replay.recorder import record, view
 
 HEARD_S = 3.0  # of the wall: states come five times a second, and a link is there in less than one
 PICTURE_S = 10.0  # between two sweeps a whole frame is seldom further away, also in a dive at a quarter of its speed

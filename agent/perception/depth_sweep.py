@@ -37,7 +37,7 @@ from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import check_box
 from hw.camera.camera import Camera, CameraError, Image, nearest
 from hw.camera.files import StackCamera
-from replay.viewers.whole_sweeps import SweepDepth, SweepFrame
+from replay.viewers.viewer_channels import SweepDepth, SweepFrame
 
 # @@ sharp_picture
 # One picture that is sharp everywhere, from the frames of a sweep: for the eye alone.

@@ -23,7 +23,7 @@ from cryptography.x509.oid import ExtendedKeyUsageOID, NameOID
 
 from agent.core.config import ConfigError, Fleet
 from agent.process.keys import EVERYBODY, OWNER_ONLY, keys_folder, write_new
-from router_config.session import ROUTER, tls
+from router_config.settings import ROUTER, tls
 
 CERTIFICATE, KEY = ".pem", ".key"
 AUTHORITY = "ca"

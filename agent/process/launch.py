@@ -21,9 +21,9 @@ from agent.core.config import ConfigError, Fleet
 from agent.process.certificates import certificate_file, hosts_of, read_certificate
 from agent.process.command import Failed
 from agent.robot.fleet_reader import MAX_PORT
-from replay.roll_call import RollCall
-from router_config.door import Sample, Session
-from router_config.session import ROUTER, ROUTER_LISTEN, ROUTER_LISTEN_SECURED, router_config
+from replay.recorder import RollCall
+from router_config.session import Sample, Session
+from router_config.settings import ROUTER, ROUTER_LISTEN, ROUTER_LISTEN_SECURED, router_config
 
 # @@ parent_watch
 # A process that ends with the one that started it, however that ended: after SIGKILL nobody can stop his children.

@@ -26,7 +26,7 @@ from agent.core.step_io import DroppedPayloads, Heard, Ordered
 from agent.core.topics import CLAIM, KEYFRAME, LIGHT, LINK, NEAR, Topic
 from agent.robot.operator import CONSOLE, why_closed
 from agent.robot.verbs import CLOCK
-from router_config.door import Link, Query, Sample, Withdraw, unusable
+from router_config.session import Link, Query, Sample, Withdraw, unusable
 
 KEPT = LINK.qos.buffer
 FASTEST_HZ = 40.0  # twice what a fleet file may ask for: who speaks more often for long floods

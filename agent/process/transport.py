@@ -26,8 +26,8 @@ from agent.process.links import Inboxes, OrderBox, Strangers, Tokens, rows_of
 from agent.robot.fleet_reader import two_worlds
 from agent.robot.verbs import prepare_all
 from hw.twin.twin_folder import clock_path
-from router_config.door import Publish, Sample, Session, unusable
-from router_config.session import observer_config, peer_config
+from router_config.session import Publish, Sample, Session, unusable
+from router_config.settings import observer_config, peer_config
 
 Told = Presence | Claim | Keyframe | Light
 LOOKER = "view"  # as whom people look at a secured fleet, by the name that every fleet file has for it

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 from agent.process.command import Failed
 from agent.reconstruction.mesh import Mesh
 from agent.reconstruction.views import Floats, View
-from replay.files.backlog import Entry
-from replay.files.channels import PROTOBUF
+from replay.files.channels import PROTOBUF, Entry
+from replay.files.frames import schema
 from replay.files.mcap_file import Part
-from replay.files.protobuf import schema
 from replay.viewers.foxglove import Turn, world_cloud, world_poses
 
 # @@ encoded

@@ -21,7 +21,7 @@ from agent.reconstruction.fusion import Built
 from agent.reconstruction.held_back import HeldBack
 from agent.reconstruction.mesh import Mesh, Rendered, pieces_of, rendered
 from agent.reconstruction.views import Camera, Floats, View
-from replay.report.page_template import PAGE
+from replay.report.page import PAGE
 
 # @@ beside
 # Rendered views beside photographs that nothing was made of, and how alike they are.

@@ -33,9 +33,9 @@ from agent.reconstruction.views import (
     reduction,
     shrunk_frame,
 )
-from replay.check.black_box import BlackBox, open_boxes
-from replay.taken_sweeps import Motion, TakenSweep, taken_sweeps, told
-from replay.viewers.whole_sweeps import SweepFrame
+from replay.check.reexecute import BlackBox, open_boxes
+from replay.viewers.viewer_channels import SweepFrame
+from replay.whole_sweeps import Motion, TakenSweep, taken_sweeps, told
 
 MOORED = (3e-3, 0.5)  # of a survey by hand and tape: m in x and in y, degrees of yaw
 LEAST_PX = 128  # of the part that all frames of a sweep show, across and down

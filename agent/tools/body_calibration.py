@@ -32,8 +32,7 @@ from agent.core.linear_algebra import wrap
 from agent.core.ranging.camera_model import BodyFit
 from agent.process.command import Failed, Show, with_bar
 from agent.tools.focus_calibration import CalibrationRefused, check_file, put
-from replay.check.black_box import BlackBox, open_box
-from replay.check.reexecute import take
+from replay.check.reexecute import BlackBox, open_box, take
 
 # @@ body_fit
 # A robot's mass, inertia and drag from how it moved under the forces that it asked for.

@@ -2,22 +2,215 @@
 
 from __future__ import annotations
 
+import multiprocessing
+import os
+import subprocess
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, wait
 from functools import partial
+from multiprocessing.sharedctypes import Synchronized
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgpack
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from agent.clock import machine
-from replay.check.black_box import BlackBox, open_boxes
-from replay.check.compare import Ignored, load_ignored
-from replay.check.links import Correspondence, Link
-from replay.check.older import only_younger
-from replay.check.reexecute import Divergence, Reexecution
-from replay.check.side_by_side import CheckedBox, check_boxes
+from agent.core.codec import Refusal, decode, encode
+from agent.core.config import ConfigError
+from agent.core.messages import SCHEMA, State, Vector
+from agent.core.step_io import Outputs
+from replay.check.compare import Ignored, load_ignored, only_younger
+from replay.check.reexecute import (
+    STEP_BYTES,
+    BlackBox,
+    Divergence,
+    Reexecution,
+    Step,
+    StepsDone,
+    open_boxes,
+    reexecute,
+    take,
+)
+from replay.files.channels import STEP_OUT, Entry
+from replay.files.log import info, parts, read
+from replay.files.mcap_file import Part, active
+from replay.files.mcap_walk import suspecting
+
+# @@ links
+# Who heard whom: every message that a robot took in must be one that its sender gave out, byte for byte.
+#
+# One that is not was forged or damaged on the way, or the sender's recording is not whole. The signatures under what
+# the sender itself measured are the exception: it puts them there as a message leaves, so its recording is without.
+
+
+class Link(NamedTuple):
+    """Messages from one robot to another over a run."""
+
+    src: str
+    dst: str
+    said: int | None  # None: the sender left no recording
+    heard: int
+    unknown: int  # heard, but not among those said
+    after_end: int  # of those: sent after the sender's recordings end, so nobody can tell
+
+
+class Correspondence:
+    """What all robots of a run said and heard, gathered step by step."""
+
+    def __init__(self) -> None:
+        self._said: dict[tuple[str, str], Counter[bytes]] = {}
+        self._heard: dict[tuple[str, str], Counter[bytes]] = {}
+        self._last_ns: dict[str, int] = {}  # of each robot that left a recording
+
+    def add(self, robot: str, step: Step) -> None:
+        """One step of a robot. Raises Refusal for one that holds something else than inputs and outputs."""
+        for src, payload in _heard(step.inputs):
+            self._heard.setdefault((src, robot), Counter())[as_said(payload, src)] += 1
+        if step.outputs is not None:
+            self._last_ns[robot] = max(step.now_ns, self._last_ns.get(robot, 0))
+            for dst, payload in _said(step.outputs):
+                self._said.setdefault((robot, dst), Counter())[as_said(payload, robot)] += 1
+
+    def join(self, other: Correspondence) -> None:
+        """Take in what another gathered."""
+        for ours, theirs in ((self._said, other._said), (self._heard, other._heard)):
+            for pair, payloads in theirs.items():
+                ours.setdefault(pair, Counter()).update(payloads)
+        for robot, last_ns in other._last_ns.items():
+            self._last_ns[robot] = max(last_ns, self._last_ns.get(robot, 0))
+
+    def links(self) -> list[Link]:
+        """One for each pair that spoke or heard."""
+        return [self._link(src, dst) for src, dst in sorted({*self._said, *self._heard})]
+
+    def _link(self, src: str, dst: str) -> Link:
+        said, heard = self._said.get((src, dst), Counter()), self._heard.get((src, dst), Counter())
+        if src not in self._last_ns:
+            return Link(src, dst, None, heard.total(), 0, 0)
+        unknown = heard - said
+        after_end = sum(count for payload, count in unknown.items() if _sent_ns(payload) > self._last_ns[src])
+        return Link(src, dst, said.total(), heard.total(), unknown.total(), after_end)
+
+
+def links(boxes: Iterable[BlackBox]) -> list[Link]:
+    """The links of a run, from the recordings of all starts of its robots."""
+    correspondence = Correspondence()
+    for box in boxes:
+        for step in box.steps():
+            correspondence.add(box.robot, step)
+    return correspondence.links()
+
+
+def as_said(payload: bytes, src: str) -> bytes:
+    """A message without the signatures of its sender's own word; payloads that are none stay as they are."""
+    try:
+        estimate = msgpack.unpackb(payload)
+        _, entries, samples, _, proposals = estimate["gossip"]  # in the order of messages.Gossip
+        for said in (*entries, *samples, *proposals):
+            if said[0] == src and isinstance(said[-1], bytes):  # first its origin, last its signature
+                said[-1] = b""
+        return bytes(msgpack.packb(estimate))
+    except (ValueError, TypeError, LookupError, msgpack.UnpackException, RecursionError):
+        return payload
+
+
+def _heard(inputs: bytes) -> list[tuple[str, bytes]]:
+    found = _list(inputs, "heard")
+    if not all(isinstance(each.get("src"), str) and isinstance(each.get("payload"), bytes) for each in found):
+        raise Refusal("content", "a message heard from nobody")
+    return [(each["src"], each["payload"]) for each in found]
+
+
+def _said(outputs: bytes) -> list[tuple[str, bytes]]:
+    """What a step said to whom: its very bytes, which need not be of today's version."""
+    found = [each for field in ("says", "near", "claims", "keyframes", "light") for each in _list(outputs, field)]
+    if not all(isinstance(each.get("dst"), str) for each in found):
+        raise Refusal("content", "a message said to nobody")
+    return [(each["dst"], bytes(msgpack.packb(each))) for each in found]
+
+
+def _list(data: bytes, field: str) -> list[dict[str, Any]]:
+    """A field that holds maps, of inputs or outputs. Raises Refusal if it does not."""
+    fields = _map(data)
+    found = fields.get(field, []) if fields is not None else None
+    if not isinstance(found, list) or not all(isinstance(each, dict) for each in found):
+        raise Refusal("garbage", f"no step: its '{field}' is no list of messages")
+    return found
+
+
+def _sent_ns(payload: bytes) -> int:
+    """The sender's time in a message that nobody vouches for; 0 if it has none."""
+    sent_ns = (_map(payload) or {}).get("sent_ns", 0)
+    return sent_ns if isinstance(sent_ns, int) else 0
+
+
+def _map(data: bytes) -> dict[str, Any] | None:
+    try:
+        fields = msgpack.unpackb(data)
+    except (ValueError, TypeError, msgpack.UnpackException, RecursionError):
+        return None
+    return fields if isinstance(fields, dict) else None
+
+
+# @@ side_by_side
+# Recordings that are checked side by side, each in a process of its own: no robot's replay needs another's.
+
+WORTH_STEPS = 1500  # of all recordings but the longest: less is done sooner than another process has started
+SHOWN_S = 0.2  # between two looks at how far the others are
+
+_done: Synchronized[int] | None = None  # in a process of the pool: steps, counted by all of them
+
+
+class CheckedBox(NamedTuple):
+    """What came of one recording, and who said what to whom in it."""
+
+    result: Reexecution
+    correspondence: Correspondence
+
+
+def check_boxes(boxes: Sequence[BlackBox], rows: Sequence[Ignored], progress: StepsDone) -> list[CheckedBox]:
+    """Each of the boxes, in order. Raises ConfigError for one that holds what no recorder writes."""
+    spare = sum(box.recorded for box in boxes) - max((box.recorded for box in boxes), default=0)
+    processes = min(len(boxes), os.cpu_count() or 1)
+    if processes < 2 or spare < WORTH_STEPS:
+        return [_check_box(box, rows, progress) for box in boxes]
+    context = multiprocessing.get_context("spawn")  # a fork would copy the progress bar's thread in mid-step
+    done: Synchronized[int] = context.Value("q", 0)
+    with ProcessPoolExecutor(processes, context, _share, (done,)) as pool:
+        longest_first = sorted(boxes, key=lambda box: -box.recorded)
+        jobs = {box.path: pool.submit(_check_box, box, rows, _count) for box in longest_first}
+        shown, due = 0, set(jobs.values())
+        while due:
+            due = wait(due, SHOWN_S).not_done
+            now = done.value
+            progress(now - shown)
+            shown = now
+        return [jobs[box.path].result() for box in boxes]
+
+
+def _check_box(box: BlackBox, rows: Sequence[Ignored], progress: StepsDone) -> CheckedBox:
+    correspondence = Correspondence()
+    with suspecting(box.path):
+        result = reexecute(box, rows, progress, partial(correspondence.add, box.robot))
+    return CheckedBox(result, correspondence)
+
+
+def _share(done: Synchronized[int]) -> None:
+    """First of all in each process of the pool."""
+    global _done
+    _done = done
+
+
+def _count(steps: int) -> None:
+    assert _done is not None
+    with _done.get_lock():
+        _done.value += steps
+
+
+# @@ check
 
 
 class Checked(NamedTuple):
@@ -156,3 +349,131 @@ def _link_line(link: Link) -> str | None:
 def _finite(count: dict[str, Any]) -> dict[str, Any]:
     """JSON has no infinity: null says that the difference is not one of numbers."""
     return {name: None if value == float("inf") else value for name, value in count.items()}
+
+
+# @@ update
+# `aucamp replay check --update`: what the kernel does today becomes what the recording says, with a reason.
+#
+# Inputs stay as they were; only outputs are replaced, and the reason is kept in the header. The old file goes last,
+# when the new one is whole.
+
+GIT_S = 10.0
+
+
+class Outcome(NamedTuple):
+    """What a recording amounts to."""
+
+    iterations: int
+    acquired_t: int | None
+    estimate_m: Vector | None
+    sigma_m: float | None
+
+
+class Updated(NamedTuple):
+    box: BlackBox
+    steps: int  # whose outputs changed
+    before: Outcome
+    after: Outcome
+
+    def __str__(self) -> str:
+        """One row for the person who reviews the change."""
+        shown = [f"{self.box.path}: {self.steps} steps changed"]
+        for name, before, after in zip(Outcome._fields, self.before, self.after, strict=True):
+            same = before == after
+            shown.append(f"  {name}: {_text(before)}" + ("" if same else f" -> {_text(after)}"))
+        return "\n".join(shown)
+
+
+def update_recordings(paths: Iterable[Path], reason: str) -> list[Updated]:
+    """Rewrite the black boxes that today's kernel does not reproduce; returns those.
+
+    Raises ConfigError without a reason, in a checkout with uncommitted changes, and for a recording that is torn, has
+    later parts, lacks steps or is of an older schema: such a one is evidence, not a reference.
+    """
+    boxes = open_boxes(paths)
+    if not reason.strip():
+        raise ConfigError("--update needs --reason: one sentence on why the robots now behave differently")
+    for box in boxes:
+        if box.schema != SCHEMA:
+            raise ConfigError(f"{box.path}: recorded with schema {box.schema}; it stays the reference for that one")
+        if not box.complete or len(list(box.steps())) < box.recorded or len(parts(box.path)) > 1:
+            raise ConfigError(f"{box.path}: is torn, lacks steps or has later parts; only whole recordings are updated")
+    for folder in sorted({box.path.parent for box in boxes}):
+        _refuse_dirty(folder)
+    updated = []
+    for box in boxes:
+        with suspecting(box.path):
+            result = reexecute(box)
+            if result.verdict == "cannot check":
+                raise ConfigError(f"{box.path}: {result.notes[-1] if result.notes else 'has no steps'}")
+            if result.verdict != "identical":
+                updated.append(_rewrite(box, reason.strip()))
+    return updated
+
+
+def _rewrite(box: BlackBox, reason: str) -> Updated:
+    about = info(box.path)
+    before = outcome(step.outputs for step in box.steps() if step.outputs is not None)
+    outputs = list(_replayed(box))
+    new = Part(box.path.with_name(f"{box.path.stem}.new.mcap"))
+    changed = 0
+    try:
+        reasons = [about.run["accepted"]] if "accepted" in about.run else []
+        new.start({**about.run, "accepted": "; ".join([*reasons, reason])}, about.attachments)
+        for record in read(box.path):
+            data = record.data
+            if record.channel == STEP_OUT.name:
+                data = outputs[record.sequence]
+                changed += data != record.data
+            channel = about.channels[record.channel]
+            new.add(
+                Entry(
+                    record.channel,
+                    record.log_time_ns,
+                    record.publish_time_ns,
+                    record.sequence,
+                    data,
+                    channel.encoding,
+                    channel.metadata,
+                )
+            )
+        new.finish("aucamp.end", {name: value for name, value in about.end.items() if name != "last_sequence"})
+    except OSError as error:
+        new.abandon()
+        active(new.path).unlink(missing_ok=True)
+        raise ConfigError(f"{new.path}: cannot be written: {error.strerror}; the old file is as it was") from None
+    new.path.replace(box.path)
+    return Updated(box, changed, before, outcome(outputs))
+
+
+def _replayed(box: BlackBox) -> Iterator[bytes]:
+    agent = box.agent()
+    for step in box.steps():
+        yield encode(take(agent, step))
+
+
+def outcome(outputs: Iterable[bytes]) -> Outcome:
+    """What the last state says that the robot showed."""
+    last: State | None = None
+    for data in outputs:
+        last = decode(data, Outputs, limit=STEP_BYTES).state or last
+    if last is None:
+        return Outcome(0, None, None, None)
+    return Outcome(last.t, last.acquired_t, last.posterior_m, last.posterior_sigma_m)
+
+
+def _refuse_dirty(folder: Path) -> None:
+    """A reference must say which commit it belongs to. Outside of a checkout there is nothing to ask."""
+    command = ["git", "-C", str(folder), "status", "--porcelain", "--untracked-files=no"]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_S)
+    except (OSError, subprocess.SubprocessError):
+        return
+    if done.returncode == 0 and done.stdout.strip():
+        raise ConfigError(f"{folder}: the checkout has uncommitted changes; commit the change of behaviour first")
+
+
+def _text(value: object) -> str:
+    if isinstance(value, tuple):
+        return "(" + ", ".join(f"{1e3 * x:.3f}" for x in value) + ") mm"
+    return f"{1e3 * value:.3f} mm" if isinstance(value, float) else str(value)

@@ -13,8 +13,8 @@ from agent.core.codec import decode
 from agent.core.config import ConfigError
 from agent.core.messages import Explain, LampState, LogLine, State
 from agent.core.step_io import Outputs, SweepOutcome
-from replay.check.black_box import STEP_BYTES, open_box
-from replay.files.suspect import suspecting
+from replay.check.reexecute import STEP_BYTES, open_box
+from replay.files.mcap_walk import suspecting
 
 RULES = {
     "mix": "mixed its own measurement with what its neighbours said",

@@ -9,38 +9,188 @@ know perception.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections import defaultdict
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from msgspec import UNSET
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from agent.core.codec import decode
 from agent.core.config import Fleet
-from agent.core.ranging.camera_model import CameraFit
-from agent.core.step_io import Sighting
-from replay.check.black_box import BlackBox, open_boxes
-from replay.check.sweeps_again import SweepPair, by_sweep, sweep_pairs
-from replay.check.vision_limits import (
-    EXACT_CLARITY,
-    EXACT_PX,
-    EXACT_SHARE,
-    ODD,
-    OUTLINE_PX,
-    SHARE_RMS,
-    SHARE_WORST,
-    Quantity,
-    mean_shift,
-    rms,
-    worst,
-)
+from agent.core.control.sweep import Measurement, Rejected, peak_of, usable
+from agent.core.messages import State
+from agent.core.ranging.camera_model import CameraFit, Eye, camera_pose
+from agent.core.ranging.fix import CENTRE_NOISE_PX, EDGE_BIAS_PX, Fix, NoRange, locate
+from agent.core.step_io import Outputs, Sighting, SweepOutcome
+from replay.check.reexecute import STEP_BYTES, BlackBox, open_boxes
 from replay.files.channels import VISION
 from replay.files.frames import Frames, pixels
 from replay.files.log import info, parts, read
-from replay.files.suspect import suspecting
+from replay.files.mcap_walk import suspecting
+
+# @@ vision_limits
+# What may differ when vision looks at recorded frames again, and why so much.
+#
+# Frames that are kept losslessly give the same numbers, but for versions of OpenCV. A JPEG is not what vision saw:
+# its pixels are off by one to three grey levels (sd). An edge that a lens has smeared over 20 px climbs by two to
+# four levels a pixel, so each of 96 rays finds it up to a pixel elsewhere, eight neighbours in a block alike, and a
+# single outline of a defocused ball lies 0.1 px elsewhere (rms), now and then 0.7 px. That decides nothing: of a
+# sweep the kernel takes the peak over all frames and the outline of the sharpest one. So what is held to limits is
+# what the kernel decides, in units of its own standard deviation:
+#
+# * rms of the shifts of peaks and places: SHARE_RMS. An independent error of half a sigma makes a sigma 12 % larger;
+# that
+#   is as far as the kernel's sigmas are off themselves (`aucamp experiment consistency`: normalised error squared 3.79
+#   instead of 3 beyond 0.9 m).
+# * each of them: SHARE_WORST, four times as much, which errors of that rms exceed once in 16,000 sweeps. What lies
+# beyond
+#   is not what compression does.
+# * the mean shift of all outlines, which chance does not move: OUTLINE_PX, two standard deviations of what the kernel
+#   takes for the noise of a centre and the bias of an edge.
+#
+# A change of vision by a hundredth of its clarity is none of this: it shows on the frames that are kept losslessly.
+
+SHARE_RMS = 0.5
+SHARE_WORST = 4.0 * SHARE_RMS
+OUTLINE_PX = 2.0 * math.hypot(CENTRE_NOISE_PX, EDGE_BIAS_PX)
+ODD = 0.01  # share of compressed frames in which a ball may be seen that is only just there, or just not
+
+EXACT_PX = 0.01  # lossless frames: versions of OpenCV round differently
+EXACT_CLARITY = 1e-4  # relative
+EXACT_SHARE = 0.01  # of a sweep's sigma, where every frame is lossless
+
+
+class Quantity(NamedTuple):
+    """One compared quantity over a recording."""
+
+    value: float
+    allowed: float
+    compared: int  # how many it is of
+
+    @property
+    def passed(self) -> bool:
+        return self.value <= self.allowed
+
+    def __str__(self) -> str:
+        return f"{self.value:.2g} ({self.allowed:.2g} allowed)" + ("" if self.passed else "  <- too large")
+
+
+def worst(values: Sequence[float], allowed: float) -> Quantity:
+    return Quantity(max(values), allowed, len(values))
+
+
+def rms(values: Sequence[float], allowed: float) -> Quantity:
+    return Quantity(math.sqrt(sum(value * value for value in values) / len(values)), allowed, len(values))
+
+
+def mean_shift(shifts: Sequence[tuple[float, ...]], allowed: float) -> Quantity:
+    """The largest component of the mean of vectors."""
+    return Quantity(max(abs(sum(column)) / len(shifts) for column in zip(*shifts, strict=True)), allowed, len(shifts))
+
+
+# @@ sweeps_again
+# What the kernel decides of a sweep: the lens position of its peak and the place of the target, by what vision saw
+# then and by what it sees now in the recorded frames. Both are worked out here in the same way, so that they differ
+# by vision alone.
+
+Key = tuple[str, int]  # target, number of the sweep
+SweepFrames = Mapping[Key, Sequence[Sighting | None]]  # of each sweep; None: the frame is not in the file
+
+
+class SweepPair(NamedTuple):
+    """One sweep, then and now. Shifts are in standard deviations that the kernel gave to them then."""
+
+    target: str
+    sweep: int
+    peak: float | None  # how far its peak is from where it was; None: there is none then or now
+    place: float | None  # and the place of the target; None: none that the kernel believes
+    flipped: bool = False  # a measurement then or now, not both
+
+
+def sweep_pairs(box: BlackBox, then: SweepFrames, now: SweepFrames) -> Iterator[SweepPair]:
+    """The sweeps that gave the robot a measurement, and those that would now; those that lost a frame are left out."""
+    for outcome, eye in _outcomes(box):
+        key = outcome.target, outcome.sweep
+        was, is_ = (_complete(of.get(key, ())) for of in (then, now))
+        if not was or len(was) != len(is_):
+            continue
+        before, after = (_peak(outcome, frames) for frames in (was, is_))
+        if outcome.lens_position is None and before is not None:
+            continue  # the robot was tilted or its frames came late: not by what vision saw
+        if before is None and after is None:
+            continue
+        if before is None or after is None:
+            yield SweepPair(*key, None, None, flipped=True)
+            continue
+        shift = abs(after.lens_position - before.lens_position) / before.sigma
+        places = [_fix(box, outcome.target, peak, eye) for peak in (before, after)]
+        fixes = [place for place in places if isinstance(place, Fix)]
+        yield SweepPair(*key, shift, _apart(*fixes) if len(fixes) == 2 else None, flipped=len(fixes) == 1)
+
+
+def by_sweep(sightings: Sequence[tuple[Sighting, Sighting | None]]) -> tuple[SweepFrames, SweepFrames]:
+    """Pairs of sightings, then and now, as frames of their sweeps."""
+    then: defaultdict[Key, list[Sighting | None]] = defaultdict(list)
+    now: defaultdict[Key, list[Sighting | None]] = defaultdict(list)
+    for was, is_ in sightings:
+        if was.sweep:
+            then[was.target, was.sweep].append(was)
+            now[was.target, was.sweep].append(is_)
+    return then, now
+
+
+def _complete(frames: Sequence[Sighting | None]) -> list[Sighting]:
+    return [frame for frame in frames if frame is not None]
+
+
+def _peak(outcome: SweepOutcome, frames: Sequence[Sighting]) -> Measurement | None:
+    good = usable(outcome.sweep, frames, ())
+    peak = good if isinstance(good, Rejected) else peak_of(outcome.sweep, good, outcome.held_width)
+    return peak if isinstance(peak, Measurement) else None
+
+
+def _fix(box: BlackBox, target: str, peak: Measurement, eye: Eye) -> Fix | NoRange:
+    about, cues = box.fleet.target[target], box.fleet.ranging.cues
+    return locate(box.calibration, eye, peak.outline, peak.lens_position, peak.sigma, about, cues)
+
+
+def _apart(then: Fix, now: Fix) -> float:
+    """How far one place is from the other, in standard deviations in that direction."""
+    xx, xy, xz, yy, yz, zz = then.covariance_m2
+    shift = np.subtract(now.position_m, then.position_m)
+    return math.sqrt(float(shift @ np.linalg.solve([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], shift)))
+
+
+def _outcomes(box: BlackBox) -> Iterator[tuple[SweepOutcome, Eye]]:
+    """Each sweep that ended, and where the camera was, as near as the robot's own state says: both places are seen
+    from there, and its few millimetres of sway are the same to them."""
+    state: State | None = None
+    for step in box.steps():
+        outputs = decode(step.outputs, Outputs, limit=STEP_BYTES) if step.outputs is not None else None
+        if outputs is None:
+            continue
+        if outputs.state is not None:
+            state = outputs.state
+        if outputs.outcome is not UNSET:
+            yield outputs.outcome, _eye(box, state)
+
+
+def _eye(box: BlackBox, state: State | None) -> Eye:
+    robot, body, surface_m = box.fleet.robot[box.robot], box.fleet.body, box.fleet.tank.surface_m
+    if state is None or state.depth_m is None:
+        level = robot.depth_m, 0.0, 0.0
+    else:
+        level = state.depth_m, state.roll_deg or 0.0, state.pitch_deg or 0.0
+    gimbal = (state.pan_deg, state.tilt_deg) if state is not None else (robot.look.pan_deg, robot.look.tilt_deg)
+    return camera_pose(robot.pose, body, *level, *gimbal, surface_m)
+
+
+# @@ vision_check
 
 See = Callable[[NDArray[np.uint8], tuple[int, int, int, int], Sighting, Sighting | None], Sighting]
 MakeSee = Callable[[Fleet, CameraFit], See]

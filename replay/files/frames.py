@@ -8,22 +8,58 @@ saw them, and that order matters: where vision looks next depends on the frame b
 from __future__ import annotations
 
 import contextlib
-from typing import Annotated, Literal
+from functools import cache
+from typing import Annotated, Any, Literal
 
 import cv2
 import msgspec
 import numpy as np
+from foxglove_schemas_protobuf.CompressedImage_pb2 import CompressedImage
+from google.protobuf.message import DecodeError
+from google.protobuf.timestamp_pb2 import Timestamp
+from mcap_protobuf.schema import build_file_descriptor_set
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from agent.core.codec import decode, encode, stated_size
+from agent.core.codec import Refusal, decode, encode, stated_size
 from agent.core.config import ConfigError
 from agent.core.messages import Message
 from agent.core.step_io import Sighting
 from replay.files import channels
-from replay.files.backlog import Entry
-from replay.files.images import compressed, image
-from replay.files.protobuf import schema
+from replay.files.channels import Entry, Schema
+
+# @@ protobuf
+# What our protobuf messages have in common, whoever makes them: how a file describes them, and how they say a time.
+
+
+@cache
+def schema(kind: Any) -> Schema:
+    """What the file says about a protobuf class: its full name, and its descriptor with all that it imports."""
+    return Schema(kind.DESCRIPTOR.full_name, "protobuf", build_file_descriptor_set(kind).SerializeToString())
+
+
+def stamp(t_ns: int) -> Timestamp:
+    return Timestamp(seconds=t_ns // 10**9, nanos=t_ns % 10**9)
+
+
+# @@ images
+# foxglove.CompressedImage: a picture as viewers draw it, and as replay reads it again.
+
+
+def image(robot: str, data: bytes, format_: str, t_ns: int) -> Any:
+    """The message of one picture; `format_` is jpeg or png."""
+    return CompressedImage(timestamp=stamp(t_ns), frame_id=f"{robot}/camera", data=data, format=format_)
+
+
+def compressed(message: bytes) -> bytes:
+    """The JPEG or PNG in the bytes of such a message. Raises Refusal where they are none."""
+    try:
+        return bytes(CompressedImage.FromString(message).data)
+    except DecodeError:
+        raise Refusal("garbage", "is no foxglove.CompressedImage") from None
+
+
+# @@ frames
 
 # Of a JPEG: 60 kB for a full frame of 640x480 with sensor noise, 1.1 ms; PNG: 520 kB, 16 ms. Colour is kept at full
 # resolution, unlike a JPEG's habit: it is by their colour that balls are found. That costs a quarter more bytes, and

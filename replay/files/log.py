@@ -21,12 +21,10 @@ import msgpack
 
 from agent.clock import machine
 from agent.core.codec import prepare
-from replay.files.backlog import Backlog, Drop, Entry
-from replay.files.channels import DROPS, entry_on
+from replay.files.channels import DROPS, Backlog, Drop, Entry, entry_on
 from replay.files.info import ChannelInfo, Info, info
-from replay.files.mcap_file import Part
+from replay.files.mcap_file import Part, active, part, parts, unused
 from replay.files.mcap_walk import Channel, Message, Tear, records
-from replay.files.names import active, part, parts, unused
 
 __all__ = ["ChannelInfo", "Info", "Limits", "LogWriter", "Record", "info", "parts", "read", "unused"]
 

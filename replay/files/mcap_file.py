@@ -7,20 +7,187 @@ NAME.mcap.active is being written, or its writer was killed; NAME.mcap has been 
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import importlib.metadata
 import json
 import os
+import platform
+import re
+import subprocess
 from collections.abc import Mapping
+from functools import cache
 from pathlib import Path
 from typing import IO, Any
 
+import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from agent.core.config import ConfigError
-from replay.files.backlog import Entry
-from replay.files.digests import ATTACHED, BEFORE, HashedFile, of_attachments, stamped
-from replay.files.environment import version
-from replay.files.file_lock import hold, is_held
-from replay.files.names import active
+from replay.files.channels import Entry
+from replay.files.mcap_walk import ATTACHED, BEFORE, HashedFile, of_attachments, stamped
+
+# @@ environment
+# What a recording was made with: code, versions and machine, the first suspects when a replay differs.
+
+PACKAGES = (
+    "aucamp",
+    "eclipse-zenoh",
+    "numpy",
+    "opencv-python-headless",
+    "numba",
+    "torch",
+    "msgpack",
+    "msgspec",
+    "mcap",
+)
+FEATURES = ("sse4_2", "avx", "avx2", "fma", "avx512f", "asimd", "sve")  # on which numerical libraries choose their code
+THREADS = ("OPENBLAS_NUM_THREADS", "OPENBLAS_CORETYPE", "OMP_NUM_THREADS", "NUMBA_NUM_THREADS")
+GIT_S = 2.0  # a checkout on a slow network drive is not worth waiting for
+
+
+@cache
+def environment() -> dict[str, str]:
+    """Entries for the metadata `aucamp.run`; what cannot be found out is "unknown"."""
+    blas = np.show_config(mode="dicts")["Build Dependencies"]["blas"]
+    return {
+        "python": platform.python_version(),
+        "machine": f"{platform.system()} {platform.machine()}",
+        "libc": " ".join(platform.libc_ver()).strip() or "unknown",
+        **_cpu(),
+        "blas": f"{blas.get('name', 'unknown')} {blas.get('version', '')}".strip(),
+        **{name: os.environ[name] for name in THREADS if name in os.environ},
+        **_checkout(Path(__file__).parents[2]),
+        **{f"version.{package}": version(package) for package in PACKAGES},
+    }
+
+
+def version(package: str) -> str:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return "unknown"
+
+
+def _cpu() -> dict[str, str]:
+    """Model, and those of its instruction sets that decide how floating point is computed (Linux)."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
+    except OSError:
+        lines = []
+    facts = {key.strip(): value.strip() for key, _, value in (line.partition(":") for line in lines)}
+    flags = facts.get("flags", facts.get("Features", "")).split()
+    return {
+        "cpu": facts.get("model name") or platform.processor() or "unknown",
+        "cpu.features": " ".join(feature for feature in FEATURES if feature in flags) or "unknown",
+    }
+
+
+def _checkout(root: Path) -> dict[str, str]:
+    """Commit, and whether the files differ from it; an installed package has neither."""
+    if not (root / ".git").exists():
+        return {"commit": "unknown", "dirty": "unknown"}
+    commit = _git(root, "rev-parse", "HEAD")
+    changes = _git(root, "status", "--porcelain", "--untracked-files=no")
+    return {
+        "commit": commit or "unknown",
+        "dirty": "unknown" if changes is None else "yes" if changes else "no",
+    }
+
+
+def _git(root: Path, *arguments: str) -> str | None:
+    # Without optional locks: a robot that starts must not stand in the way of somebody who commits.
+    command = ["git", "--no-optional-locks", "-C", str(root), *arguments]
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=GIT_S, check=True)
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()
+
+
+# @@ file_lock
+# Who is writing a file: its writer holds a lock on it, which the operating system takes back when the writer dies.
+#
+# So a file with the name of an unfinished one and without a lock is one whose writer was killed, however short ago.
+# Where a file system has no locks, nobody seems to be writing.
+
+
+def hold(file: IO[bytes]) -> None:
+    """Mark an open file as being written, until it is closed."""
+    with contextlib.suppress(OSError):
+        fcntl.flock(file, fcntl.LOCK_EX)
+
+
+def is_held(path: Path) -> bool:
+    """Whether a writer is at work on this file."""
+    try:
+        with path.open("rb") as file:
+            fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # not there, not ours to read, or no locks
+        return False
+    return False
+
+
+# @@ names
+# What the files of a recording are called.
+#
+# r1.mcap, r1.part002.mcap ...   a recording and its later parts r1.2.mcap                      the same robot started
+# again in the same folder r1.mcap.active                 being written, or its writer was killed r1.recovered.mcap
+# the mended copy of a torn file
+
+SUFFIX = ".active"
+
+
+def active(path: Path) -> Path:
+    """The name of `path` while it is being written."""
+    return path.with_name(path.name + SUFFIX)
+
+
+def recovered(path: Path) -> Path:
+    """Where the mended copy of a torn file goes."""
+    return path.with_name(_stem(path) + ".recovered.mcap")
+
+
+def part(path: Path, number: int) -> Path:
+    """The file of the `number`-th part of the recording `path`; the first has no number in its name."""
+    return path if number == 1 else path.with_name(f"{_stem(path)}.part{number:03d}.mcap")
+
+
+def unused(path: Path) -> Path:
+    """`path`, or NAME.2.mcap and so on if it is taken: a robot that starts again keeps what it recorded before."""
+    stem, number = _stem(path), 2
+    while path.exists() or active(path).exists():
+        path = path.with_name(f"{stem}.{number}.mcap")
+        number += 1
+    return path
+
+
+def parts(path: Path) -> list[Path]:
+    """The files of the recording that begins with `path`, in order. A later part, asked for by name, comes alone.
+
+    Of a part that was not finished the mended copy is taken, or else the torn file itself.
+    """
+    if re.search(r"\.part\d{3,}$|\.recovered$", _stem(path)):
+        return [path]
+    first = path.with_name(_stem(path) + ".mcap")
+    found, number = [path if path.exists() else standing(first) or path], 2
+    while (later := standing(part(first, number))) is not None:
+        found.append(later)
+        number += 1
+    return found
+
+
+def standing(path: Path) -> Path | None:
+    """What there is of `path`: the finished file, its mended copy, or the torn one."""
+    return next((file for file in (path, recovered(path), active(path)) if file.exists()), None)
+
+
+def _stem(path: Path) -> str:
+    return path.name.removesuffix(SUFFIX).removesuffix(".mcap")
+
+
+# @@ mcap_file
 
 CHUNK_BYTES = 256 * 1024  # the format's default, 1 MiB, is minutes of telemetry: all lost when the process is killed
 

@@ -6,10 +6,14 @@ costs no memory. All checksums of the format are checked, and our own digests (d
 
 from __future__ import annotations
 
+import json
 import os
 import struct
+import traceback
 import zlib
-from collections.abc import Callable, Iterator
+from collections import Counter, defaultdict
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
@@ -37,8 +41,276 @@ from mcap.records import (
     SummaryOffset,
 )
 
+from agent.core.codec import Refusal
 from agent.core.config import ConfigError
-from replay.files.mcap_audit import Audit, Damage
+
+# @@ digests
+# What a recording says of itself as SHA-256, so that a reader notices what was changed after it was written.
+#
+# The header `aucamp.run` has a digest of itself and of each attachment; every other note has its own. The last note
+# has one of all bytes before it. A digest is no signature: who writes a whole new file writes new digests into it.
+
+OWN = "sha256"  # entry of a note: digest of its name and its other entries
+BEFORE = "sha256.before"  # entry of the last note: of all bytes of the file before that note
+ATTACHED = "sha256."  # and the attachment's name: entry of the header
+
+
+def stamped(name: str, facts: Mapping[str, object]) -> dict[str, str]:
+    """The entries of a note as texts, its own digest among them."""
+    entries = {key: str(value) for key, value in facts.items() if key != OWN}
+    return {**entries, OWN: _digest(name, entries)}
+
+
+def is_as_written(name: str, entries: Mapping[str, str]) -> bool | None:
+    """Whether a note is what its digest says; None: it is older than digests."""
+    said = entries.get(OWN)
+    if said is None:
+        return None
+    return said == _digest(name, {key: value for key, value in entries.items() if key != OWN})
+
+
+def of_attachments(attachments: Mapping[str, str]) -> dict[str, str]:
+    """Entries of the header for texts by file name."""
+    return {f"{ATTACHED}{name}": sha256(text.encode()).hexdigest() for name, text in attachments.items()}
+
+
+def attached(run: Mapping[str, str]) -> dict[str, str]:
+    """Digests of the attachments by file name, as a header has them."""
+    return {key.removeprefix(ATTACHED): value for key, value in run.items() if key.startswith(ATTACHED)}
+
+
+def _digest(name: str, entries: Mapping[str, str]) -> str:
+    return sha256(json.dumps([name, sorted(entries.items())]).encode()).hexdigest()
+
+
+class HashedFile:
+    """A file that is written once from its beginning; `before` is the digest of what was written so far."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self._digest = file, sha256()
+
+    def write(self, data: bytes) -> int:
+        """Write and take into the digest."""
+        self._digest.update(data)
+        return self._file.write(data)
+
+    def tell(self) -> int:
+        """Where the next byte goes."""
+        return self._file.tell()
+
+    def flush(self) -> None:
+        """Hand everything to the operating system."""
+        self._file.flush()
+
+    @property
+    def before(self) -> str:
+        return self._digest.hexdigest()
+
+
+# @@ mcap_audit
+# What a file says of itself at its end, held against what a walk through it met: index, counts, checksums, digests.
+#
+# A file of ours has all of these. One that something else wrote is judged by the checksums alone, and one from before
+# digests by all but those.
+
+RUN, LAST = "aucamp.run", ("aucamp.end", "aucamp.recovered")
+DAMAGED = "damaged"  # entry of the last note of a mended copy: what of the damage is in the copy, too
+SUMMARY_HEAD = struct.Struct("<BQQQ")  # what of the footer is in the checksum of the summary
+
+
+class Damage(NamedTuple):
+    """Something that is whole and not as it was written."""
+
+    what: str
+    lasts: bool = False  # a mended copy has it too: it is in what was recorded, not in how it is stored
+
+
+class Audit:
+    """Is shown each record of a file in turn; `verdict` is asked once, at the end of a file that has one."""
+
+    def __init__(self) -> None:
+        self.found: list[Damage] = []
+        self.torn = False  # some record was broken: counts and digests of the whole must differ
+        self.over = False  # the data section has ended
+        self._run: dict[str, str] | None = None
+        self._closed = False  # the last note has been
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, Channel] = {}
+        self._counts: Counter[int] = Counter()
+        self._times: list[int] = []  # earliest and latest
+        self._chunks: list[ChunkIndex] = []
+        self._due: dict[int, list[tuple[int, int]]] = {}  # message indexes of the chunk before, by channel
+        self._notes: list[MetadataIndex] = []
+        self._attachments: list[AttachmentIndex] = []
+        self._told: defaultdict[type, list[Any]] = defaultdict(list)  # records of the summary
+        self._summary_crc, self._summary_start = 0, 0
+        self._nameless = 0
+
+    def add(self, what: str, lasts: bool = False) -> None:
+        """Note a damage."""
+        self.found.append(Damage(what, lasts))
+
+    def chunk(self, chunk: Chunk, offset: int, length: int, inside: Sequence[tuple[int, Any]]) -> None:
+        """A chunk and the records in it, by their places."""
+        self._late()
+        self._end_chunk()
+        due: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
+        for place, record in inside:
+            self.loose(record)
+            if isinstance(record, Message):
+                due[record.channel_id].append((record.log_time, place))
+        self._due = dict(due)
+        times = [time for entries in due.values() for time, _ in entries]
+        if times and (min(times), max(times)) != (chunk.message_start_time, chunk.message_end_time):
+            self.add("a chunk has other times than its messages")
+        self._chunks.append(
+            ChunkIndex(
+                chunk_length=length,
+                chunk_start_offset=offset,
+                compression=chunk.compression,
+                compressed_size=len(chunk.data),
+                message_end_time=chunk.message_end_time,
+                message_index_length=0,
+                message_index_offsets={},
+                message_start_time=chunk.message_start_time,
+                uncompressed_size=chunk.uncompressed_size,
+            )
+        )
+
+    def loose(self, record: Schema | Channel | Message) -> None:
+        """A message, or what describes messages, in a chunk or beside."""
+        if isinstance(record, Message):
+            self._counts[record.channel_id] += 1
+            if record.channel_id not in self._channels:
+                self._nameless += 1
+            if not self._times:
+                self._times = [record.log_time, record.log_time]
+            elif record.log_time < self._times[0]:
+                self._times[0] = record.log_time
+            elif record.log_time > self._times[1]:
+                self._times[1] = record.log_time
+            return
+        known: dict[int, Any] = self._schemas if isinstance(record, Schema) else self._channels
+        if known.setdefault(record.id, record) != record:
+            self.add(f"two {'schemas' if isinstance(record, Schema) else 'channels'} have the number {record.id}", True)
+
+    def attachment(self, record: Attachment, offset: int, content: bytes) -> None:
+        """An attachment; `content` ends with its checksum."""
+        self._late()
+        self._attachments.append(
+            AttachmentIndex(
+                offset=offset,
+                length=9 + len(content),
+                log_time=record.log_time,
+                create_time=record.create_time,
+                data_size=len(record.data),
+                name=record.name,
+                media_type=record.media_type,
+            )
+        )
+        (crc,) = struct.unpack("<I", content[-4:])
+        said = attached(self._run or {}).get(record.name)
+        if said is not None and said != sha256(record.data).hexdigest():
+            self.add(f"{record.name} in it is not the file that was attached", True)
+        elif crc not in (0, zlib.crc32(content[:-4])):
+            self.add(f"{record.name} in it contradicts its checksum", said is None)
+
+    def note(self, record: Metadata, offset: int, length: int, digest: Callable[[], str]) -> None:
+        """A metadata record; `digest` is of all bytes before it."""
+        self._late()
+        if any(index.name == record.name for index in self._notes):
+            self.add(f"{record.name} is in it twice", True)
+        self._notes.append(MetadataIndex(offset=offset, length=length, name=record.name))
+        if is_as_written(record.name, record.metadata) is False:
+            self.add(f"{record.name} is not as it was written", record.name == RUN)
+        elif record.name == RUN:
+            self._run = record.metadata
+        elif record.name in LAST:
+            self._closed = BEFORE in record.metadata  # in older recordings the last messages follow it
+            self._end_chunk()
+            if record.metadata.get(DAMAGED):
+                self.add(f"before it was mended {record.metadata[DAMAGED]}", True)
+            if record.metadata.get(BEFORE, digest()) != digest() and not self.torn and not self.found:
+                self.add("what was recorded was changed afterwards", True)
+
+    def other(self, record: Any, offset: int, length: int, crc: int) -> None:
+        """A record that is there to find others; `crc` is of all bytes before it."""
+        if isinstance(record, MessageIndex) and not self.over:
+            if sorted(record.records) != sorted(self._due.pop(record.channel_id, [])) or not self._chunks:
+                self.add("an index of messages does not fit its chunk")
+            if self._chunks:
+                self._chunks[-1].message_index_offsets[record.channel_id] = offset
+                self._chunks[-1].message_index_length += length
+        elif isinstance(record, DataEnd) and not self.over:
+            self._end_chunk()
+            self.over, self._summary_start = True, offset + length
+            if record.data_section_crc not in (0, crc) and not self.torn and not self.found:
+                self.add("its data contradict their checksum")
+        elif self.over or isinstance(record, Footer):
+            self._told[type(record)].append(record)
+
+    def end_of(self, opcode: int, head: bytes, content: bytes) -> None:
+        """All bytes of a record, also of one that could not be read, before the footer."""
+        if self.over and opcode != Opcode.DATA_END:
+            self._summary_crc = zlib.crc32(content, zlib.crc32(head, self._summary_crc))
+
+    def verdict(self) -> list[Damage]:
+        """All that was found, once the footer has been seen."""
+        if self._nameless and not self.torn:
+            self.add(f"{self._nameless} messages are on channels that it does not name", True)
+        self._check_summary(self._told[Footer][-1])
+        if self._run is not None and not self.torn:
+            self._check_index()
+            missing = set(attached(self._run)) - {each.name for each in self._attachments}
+            for name in sorted(missing):
+                self.add(f"{name} is no longer in it", True)
+        return self.found
+
+    def _check_summary(self, footer: Footer) -> None:
+        head = SUMMARY_HEAD.pack(Opcode.FOOTER, 20, footer.summary_start, footer.summary_offset_start)
+        if footer.summary_crc not in (0, zlib.crc32(head, self._summary_crc)):
+            self.add("its index contradicts its checksum")
+        elif footer.summary_start != (self._summary_start if len(self._told) > 1 else 0):
+            self.add("its index is not where it says")
+
+    def _check_index(self) -> None:
+        """Whether index and counts are those of what is there."""
+        start, end = self._times or (0, 0)
+        counted = Statistics(
+            attachment_count=len(self._attachments),
+            channel_count=len(self._channels),
+            channel_message_counts=dict(self._counts),
+            chunk_count=len(self._chunks),
+            message_count=self._counts.total(),
+            message_end_time=end,
+            message_start_time=start,
+            metadata_count=len(self._notes),
+            schema_count=len(self._schemas),
+        )
+        there: dict[str, tuple[type, list[Any]]] = {
+            "counts of messages": (Statistics, [counted]),
+            "index of chunks": (ChunkIndex, self._chunks),
+            "index of attachments": (AttachmentIndex, self._attachments),
+            "index of notes": (MetadataIndex, self._notes),
+            "list of channels": (Channel, list(self._channels.values())),
+            "list of schemas": (Schema, list(self._schemas.values())),
+        }
+        for what, (kind, met) in there.items():
+            if self._told[kind] != met:
+                self.add(f"its {what} does not fit what is in it")
+
+    def _end_chunk(self) -> None:
+        if self._due and self._run is not None:
+            self.add("an index of messages is missing")
+        self._due = {}
+
+    def _late(self) -> None:
+        """Nothing is recorded behind the last note."""
+        if self._closed:
+            self.add("something follows its last note", True)
+
+
+# @@ mcap_walk
 
 __all__ = ["Attachment", "Channel", "Damage", "Message", "Metadata", "Schema", "Tear", "records", "run_note"]
 
@@ -247,3 +519,43 @@ def _uncompressed(chunk: Chunk) -> bytes:
     if len(data) != size:
         raise ValueError("a chunk of another size than it says")
     return data
+
+
+# @@ suspect
+# What a recording can do to its reader: nothing but make it say, in one line, that it is damaged.
+#
+# Whoever reads checks what can be checked. What still goes wrong in bytes that no recorder of ours wrote ends here,
+# with the place in our code that could not go on: if it is the code's mistake and not the file's, that is where to
+# look.
+
+PACKAGE = Path(__file__).parents[2]
+MOST = 160  # characters of what was wrong
+REMEDY = "take another copy of it, or report this line if its recorder is of this version"
+
+
+@contextmanager
+def suspecting(path: Path) -> Iterator[None]:
+    """Raise ConfigError, one line that names the file, for whatever its content does to the code in this block.
+
+    An OSError that names its own file comes through: it is about a disk.
+    """
+    try:
+        yield
+    except ConfigError:
+        raise
+    except Refusal as refusal:
+        raise ConfigError(f"{path}: holds a message that is none ({refusal}); {REMEDY}") from None
+    except Exception as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            raise
+        said = " ".join(str(error).split())[:MOST]
+        what = f"{type(error).__name__}{f': {said}' if said else ''}"
+        raise ConfigError(f"{path}: holds what no recorder writes ({what}, in {_place(error)}); {REMEDY}") from error
+
+
+def _place(error: Exception) -> str:
+    """Where in our code it happened: file and line."""
+    frames = [(Path(frame.filename), frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
+    rooms = [PACKAGE / room for room in ("agent", "replay")]
+    path, line = [each for each in frames if any(each[0].is_relative_to(room) for room in rooms)][-1]
+    return f"{path.relative_to(PACKAGE)}:{line}"

@@ -12,30 +12,18 @@ from pathlib import Path
 import jinja2
 from matplotlib.figure import Figure
 
-from replay.files.clock_rate import pace
+from replay.files.info import pace
 from replay.files.log import read
-from replay.files.suspect import suspecting
-from replay.report import (
-    figures_belief,
-    figures_clock,
-    figures_depth,
-    figures_focus,
-    figures_map,
-    figures_posture,
-    figures_survey,
-    figures_track,
-    light,
-    track_tables,
-)
+from replay.files.mcap_walk import suspecting
+from replay.report import figures
 from replay.report import (
     tables as report_tables,
 )
-from replay.report.creature_track import creature_track
-from replay.report.lead.lead import lead
-from replay.report.page_template import PAGE, Section, svg
-from replay.report.run import Run, open_run
-from replay.report.surveyed import Surveyed, surveyed
-from replay.viewers.whole_sweeps import MeasureDepth, whole_sweeps
+from replay.report.creature_track import creature_track, followed_table, lost_table
+from replay.report.lead import lead
+from replay.report.page import PAGE, Section, svg
+from replay.report.timeline import Run, Surveyed, open_run, surveyed
+from replay.viewers.viewer_channels import MeasureDepth, whole_sweeps
 
 
 def report(path: Path, out: Path | None = None, depth: MeasureDepth | None = None) -> Path:
@@ -123,7 +111,7 @@ def _sections(run: Run, survey: Surveyed | None, depth: MeasureDepth | None) -> 
             "states. Green: its first own view of the target. The line should settle while the dots scatter, and "
             f"the truth should lie in the band.{against}",
             [],
-            [svg(figures_belief.iterations(each, run.truths_m.get(each.target))) for each in run.timelines],
+            [svg(figures.iterations(each, run.truths_m.get(each.target))) for each in run.timelines],
         ),
         Section(
             "valid",
@@ -135,7 +123,7 @@ def _sections(run: Run, survey: Surveyed | None, depth: MeasureDepth | None) -> 
             [t for t in (report_tables.events(run), report_tables.orders(run), report_tables.remarks(run)) if t]
             if run.timelines
             else [],
-            [svg(figures_belief.valid_set(timeline)) for timeline in run.timelines],
+            [svg(figures.valid_set(timeline)) for timeline in run.timelines],
             False,
         ),
         *_following(run),
@@ -147,7 +135,7 @@ def _sections(run: Run, survey: Surveyed | None, depth: MeasureDepth | None) -> 
             "Black: the largest distance between what two robots believe at a time; it should fall, on a scale where "
             f"each line is a tenth of the one above.{lower}",
             [],
-            [svg(figures_belief.disagreement(timelines, run.truths_m.get(target))) for target, timelines in targets],
+            [svg(figures.disagreement(timelines, run.truths_m.get(target))) for target, timelines in targets],
         ),
         Section(
             "near",
@@ -155,7 +143,7 @@ def _sections(run: Run, survey: Surveyed | None, depth: MeasureDepth | None) -> 
             "The surroundings of the target from above, in millimetres: dots are single measurements, an ellipse is "
             "where a robot believes the target to be, at twice its standard deviation.",
             [],
-            [svg(figures_map.near_target(run.fleet, of, run.truths_m.get(target))) for target, of in targets],
+            [svg(figures.near_target(run.fleet, of, run.truths_m.get(target))) for target, of in targets],
         ),
         Section(
             "clarity",
@@ -164,7 +152,7 @@ def _sections(run: Run, survey: Surveyed | None, depth: MeasureDepth | None) -> 
             "and all their peaks (vertical lines, with their standard deviation) should lie together while the "
             "target rests.",
             [],
-            [svg(figures_focus.clarity_curves(timeline)) for timeline in inside],
+            [svg(figures.clarity_curves(timeline)) for timeline in inside],
         ),
         Section(
             "depth",
@@ -182,7 +170,7 @@ def _sections(run: Run, survey: Surveyed | None, depth: MeasureDepth | None) -> 
             "the peaks of this run on that curve. Below: how well the curve is known. RMSE is the calibration's own "
             "error, once over the distances that it was fitted to and once over distances left out.",
             [],
-            [svg(figures_focus.calibration_fit(timeline)) for timeline in inside],
+            [svg(figures.calibration_fit(timeline)) for timeline in inside],
         ),
         Section(
             "posture",
@@ -193,7 +181,7 @@ def _sections(run: Run, survey: Surveyed | None, depth: MeasureDepth | None) -> 
             if inside
             else "Depth, roll and pitch, as the robots show them.",
             [report_tables.hover(run)] if inside else [],
-            [svg(figures_posture.posture(timeline)) for timeline in robots],
+            [svg(figures.posture(timeline)) for timeline in robots],
         ),
         Section(
             "links",
@@ -209,7 +197,7 @@ def _sections(run: Run, survey: Surveyed | None, depth: MeasureDepth | None) -> 
             "as was asked for. Dashed: real time; below it the machine was slower than the world. That costs time, and "
             "no accuracy.",
             [],
-            [svg(figures_clock.rate(run.clock, run.start_ns or run.clock[0].now_ns))] if run.clock else [],
+            [svg(figures.rate(run.clock, run.start_ns or run.clock[0].now_ns))] if run.clock else [],
         ),
     ]
     return [section for section in sections if section.tables or section.figures]
@@ -226,14 +214,14 @@ def _axis_by_axis(run: Run) -> Iterator[Section]:
 
 def _light(run: Run) -> Iterator[Section]:
     """Of a fleet that lights for each other."""
-    if (table := light.sweeps(run.timelines)) is not None:
+    if (table := report_tables.sweeps(run.timelines)) is not None:
         yield Section(
             "light",
             "Who lit for whom",
             "A lane for each robot's lamp: when it burned, in the colour of the robot for whose sweep, grey for itself "
             "while nobody had the light. The thin line: when that robot had it. No lamp should change within a sweep.",
             [table],
-            [svg(light.lanes(run.timelines))],
+            [svg(report_tables.lanes(run.timelines))],
         )
 
 
@@ -245,9 +233,9 @@ def _following(run: Run) -> Iterator[Section]:
         track = creature_track(folder, run.boxes, target) if about.speed_m_s is not None and run.boxes else None
         if track is None or not track.ends_ns:
             continue
-        tables = [track_tables.lost_table(run.fleet, track, start_ns)]
+        tables = [lost_table(run.fleet, track, start_ns)]
         if run.summary and run.summary.get("targets", {}).get(target, {}).get("swims"):
-            tables.insert(0, track_tables.followed_table(run.summary, target))
+            tables.insert(0, followed_table(run.summary, target))
         yield Section(
             f"track-{target}",
             f"The track of {target}",
@@ -257,9 +245,9 @@ def _following(run: Run) -> Iterator[Section]:
             "of: while its own colour is missing it goes by the others' words.",
             tables,
             [
-                svg(figures_track.track_above(run.fleet, track)),
-                svg(figures_track.seen_when(run.fleet, track, start_ns)),
-                svg(figures_track.made_of(run.fleet, track, start_ns)),
+                svg(figures.track_above(run.fleet, track)),
+                svg(figures.seen_when(run.fleet, track, start_ns)),
+                svg(figures.made_of(run.fleet, track, start_ns)),
             ],
             False,
         )
@@ -277,8 +265,8 @@ def _surveying(run: Run, found: Surveyed | None) -> Iterator[Section]:
         "keyframes together know, with the robots' ways and the places of their sweeps (crosses).",
         [report_tables.survey_table(found)],
         [
-            svg(figures_survey.known_over_time(run.fleet, found, run.start_ns or 0)),
-            svg(figures_survey.floor_above(run.fleet, found)),
+            svg(figures.known_over_time(run.fleet, found, run.start_ns or 0)),
+            svg(figures.floor_above(run.fleet, found)),
         ],
         False,
     )
@@ -296,4 +284,4 @@ def _depth_maps(run: Run, depth: MeasureDepth) -> Iterator[Figure]:
         maps = (depth(frames, box.calibration) for box, frames in sweeps)
         found = next((each for each in maps if each is not None), None)
         if found is not None:
-            yield figures_depth.depth_map(timeline.robot, (found.t_ns - start_ns) * 1e-9, found)
+            yield figures.depth_map(timeline.robot, (found.t_ns - start_ns) * 1e-9, found)

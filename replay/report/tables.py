@@ -2,16 +2,93 @@
 
 from __future__ import annotations
 
+import itertools
+import math
 import re
+from collections import defaultdict
+from collections.abc import Sequence
+from statistics import median
 from typing import NamedTuple
 
-from replay.report import figures_posture
-from replay.report.errors import LATE, error_table, relative_percent
-from replay.report.lead.ends import End, ends, truth_of
-from replay.report.lead.outcome import ORDERED, OVER
-from replay.report.page_template import Row, Table
-from replay.report.run import Run
-from replay.report.surveyed import SURVEYED, Surveyed, survey_rows
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from msgspec import UNSET
+
+from agent.core.messages import Symmetric, Vector
+from agent.core.step_io import SweepOutcome
+from replay.report import figures
+from replay.report.figures import VARIANCES
+from replay.report.lead import ORDERED, OVER, End, ends, truth_of
+from replay.report.page import Row, Table
+from replay.report.timeline import SURVEYED, Array, RobotTimeline, Run, Surveyed, survey_rows
+
+# @@ errors
+# The table of errors: what priors and posteriors missed the truth by, axis by axis, and whether they knew it.
+
+LATE = 10  # iterations at the end over which the posterior is judged
+AXES = ("x", "y", "z")
+
+
+class ErrorRow(NamedTuple):
+    """Errors of one robot and target along one axis, or in space ("3-D", without a sign), in mm."""
+
+    robot: str
+    what: str  # prior, or posterior
+    axis: str
+    n: int
+    bias: float | None
+    rmse: float
+    p95: float  # of the absolute error
+    largest: float
+    within_2_sigma: float | None  # share, by what the robot stated of that axis, or of space; None: it stated nothing
+
+
+def error_table(timelines: Sequence[RobotTimeline], truth_m: Vector) -> list[ErrorRow]:
+    """Priors over the whole run, posteriors over the last LATE iterations."""
+    rows = []
+    for timeline in timelines:
+        if measured := [state for _, state in timeline.measured]:
+            priors = np.array([state.prior_m for state in measured]) - truth_m
+            stated = [[math.nan, math.nan, math.nan, _finite_mm(state.prior_sigma_m)] for state in measured]
+            rows += _rows(timeline.label, "prior", 1e3 * priors, np.array(stated))
+        late = [belief for belief in timeline.beliefs if belief.state.posterior_m is not None][-LATE:]
+        if late:
+            errors = np.array([belief.state.posterior_m for belief in late]) - truth_m
+            stated = [[*_axes_mm(belief.cov_m2), _finite_mm(belief.state.posterior_sigma_m)] for belief in late]
+            rows += _rows(timeline.label, "posterior", 1e3 * errors, np.array(stated))
+    return rows
+
+
+def _axes_mm(cov_m2: Symmetric | None) -> list[float]:
+    return [1e3 * math.sqrt(cov_m2[k]) for k in VARIANCES] if cov_m2 else [math.nan] * 3
+
+
+def _finite_mm(sigma_m: float | None) -> float:
+    return math.nan if sigma_m is None else 1e3 * sigma_m
+
+
+def _rows(robot: str, what: str, errors: Array, sigmas: Array) -> list[ErrorRow]:
+    """errors (n, 3), mm, and the standard deviations stated of the axes and of the length (n, 4), mm; NaN: of none."""
+    found = [
+        _row(robot, what, axis, errors[:, k], float(errors[:, k].mean()), sigmas[:, k]) for k, axis in enumerate(AXES)
+    ]
+    return [*found, _row(robot, what, "3-D", np.linalg.norm(errors, axis=1), None, sigmas[:, 3])]
+
+
+def _row(robot: str, what: str, axis: str, e: Array, bias: float | None, sigmas: Array) -> ErrorRow:
+    size, known = np.abs(e), np.isfinite(sigmas)
+    share = float(np.mean(size[known] <= 2.0 * sigmas[known])) if known.any() else None
+    rmse, p95 = math.sqrt(float((e * e).mean())), float(np.percentile(size, 95))
+    return ErrorRow(robot, what, axis, len(e), bias, rmse, p95, float(size.max()), share)
+
+
+def relative_percent(estimate_m: Vector, truth_m: Vector, from_m: Vector = (0.0, 0.0, 0.0)) -> float:
+    """|x - x*| over the target's distance from a place: the tank's corner as in the paper, or a robot's camera."""
+    return 100.0 * math.dist(estimate_m, truth_m) / math.dist(from_m, truth_m)
+
+
+# @@ tables
 
 HEAD = ["robot", "x mm", "y mm", "z mm", "sigma mm", "first view", "iterations"]
 EVENTS = ["robot", "s", "event"]
@@ -172,7 +249,7 @@ def hover(run: Run) -> Table:
     rows = [["robot", "depth error, rms mm", "tilt, rms deg"]]
     for timeline in run.robots:
         if timeline.boxes:  # the set-point is not on the network
-            found = figures_posture.hover(timeline)
+            found = figures.hover(timeline)
             shown = [f"{value:.2f}" for value in found.values()] if found else ["never at depth", ""]
             rows.append([timeline.robot, *shown])
     return Table("How still each robot hung: a few millimetres and a fraction of a degree are good.", rows)
@@ -207,3 +284,65 @@ def _mm(x_m: float | None) -> str:
 
 def _number(value: float | None, form: str) -> str:
     return "-" if value is None else format(value, form)
+
+
+# @@ light
+# Who lit for whom, in a fleet that lights for each other: a table of sweeps by their lamps, and when lamps burned.
+
+SPOILED = "spoiled: "  # agent.capabilities.light.lights writes it
+FREE = "0.75"  # of a lamp that is its own robot's
+
+
+def sweeps(timelines: Sequence[RobotTimeline]) -> Table | None:
+    """How each robot's sweeps went, by whose lamps burned; None for a fleet without light of its own."""
+    rows: list[Row] = [["robot", "lamps", "sweeps", "gave a place", "spoiled by a lamp", "else rejected", "peak ±"]]
+    for timeline in timelines:
+        by: defaultdict[tuple[str, ...], list[SweepOutcome]] = defaultdict(list)
+        for sweep in timeline.sweeps:
+            if sweep.outcome is not None and sweep.outcome.lamps is not UNSET:
+                by[tuple(sweep.outcome.lamps)].append(sweep.outcome)
+        for lamps, outcomes in sorted(by.items()):
+            placed = [outcome for outcome in outcomes if outcome.x_m is not None]
+            spoiled = sum(outcome.rejected.startswith(SPOILED) for outcome in outcomes)
+            sigmas = [outcome.sigma for outcome in placed if outcome.sigma is not None]
+            other = len(outcomes) - len(placed) - spoiled
+            counts = [str(number) for number in (len(outcomes), len(placed), spoiled, other)]
+            rows.append([timeline.label, " ".join(lamps), *counts, f"{median(sigmas):.1f}" if sigmas else "-"])
+    if len(rows) == 1:
+        return None
+    return Table(
+        "Sweeps of each robot by the lamps that it took to burn. Spoiled: a lamp changed meanwhile, and what was "
+        "measured was thrown away. Peak: median of the standard deviation that the fits state, in lens positions.",
+        rows,
+    )
+
+
+def lanes(timelines: Sequence[RobotTimeline]) -> Figure:
+    """A lane for each robot's lamp: when it burned, in the colour of the robot for whose sweep; grey for itself while
+    nobody had a lease. The line below a lane: when that robot had the light."""
+    names = list(dict.fromkeys(timeline.robot for timeline in timelines))
+    colours = {name: f"C{k}" for k, name in enumerate(names)}
+    figure = Figure(figsize=(9.0, 0.7 + 0.6 * len(names)), layout="constrained")
+    panel = figure.subplots()
+    for row, name in enumerate(names):
+        shown = sorted(
+            ((t_s, state.lamp) for each in timelines if each.robot == name for t_s, state in each.states if state.lamp),
+            key=lambda item: item[0],
+        )
+        for (t_s, lamp), (until_s, _) in itertools.pairwise(shown):
+            leased = lamp.holder is not None and lamp.phase != "asks"
+            if lamp.power > 0.0:
+                colour = colours.get(lamp.holder or "", FREE) if leased else FREE
+                panel.barh(row, until_s - t_s, left=t_s, height=0.55, color=colour, alpha=max(lamp.power, 0.3))
+            if lamp.phase == "holds":
+                panel.barh(row + 0.36, until_s - t_s, left=t_s, height=0.1, color=colours[name])
+    panel.set(yticks=range(len(names)), yticklabels=names, xlabel="s", ylim=(len(names) - 0.45, -0.45))
+    handles = [Patch(color=colour, label=f"for {name}") for name, colour in colours.items()]
+    figure.legend(
+        handles=[*handles, Patch(color=FREE, label="for itself")],
+        loc="outside lower center",
+        ncols=len(handles) + 1,
+        fontsize="small",
+        frameon=False,
+    )
+    return figure

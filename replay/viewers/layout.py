@@ -7,7 +7,7 @@ the middle of the fleet's tank.
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from importlib import resources
 from itertools import cycle
 from pathlib import Path
@@ -15,7 +15,8 @@ from typing import Any
 
 from agent.core.config import ConfigError, Fleet
 from agent.core.topics import target_chunk
-from replay.files.channels import COVERAGE, KEYFRAME_POINTS, NEXT_VIEW, PREVIEW, SURVEY, match, name
+from replay.files import channels
+from replay.files.channels import COVERAGE, KEYFRAME_POINTS, NEXT_VIEW, PREVIEW, SURVEY, Channel, match, name
 
 FIRST = "r1"  # the robot whose channels are repeated
 COLOURS = ("#d62728", "#2ca02c", "#1f77b4", "#ff7f0e", "#9467bd", "#8c564b", "#e377c2", "#17becf")  # matplotlib's tab10
@@ -151,3 +152,75 @@ def _row(panels: list[str]) -> Any:
         return panels[0]
     share = round(100 / len(panels))
     return {"first": panels[0], "second": _row(panels[1:]), "direction": "row", "splitPercentage": share}
+
+
+# @@ rerun_blueprint
+# Writes `layouts/rerun.rbl`, the arrangement of views in which Rerun opens a recording of three robots.
+#
+# Rerun keeps such files in a binary form of its own; this is the text behind it. With the extra `view`, `python -m
+# replay.viewers.layout` writes it again. Use: `rerun r1.mcap fleet.mcap .../replay/viewers/layouts/rerun.rbl`.
+
+ROBOTS = ("r1", "r2", "r3")
+OUT = Path(__file__).parent / "layouts" / "rerun.rbl"
+
+
+def shown_channels() -> dict[str, list[str]]:
+    """What each view shows, by the view's name."""
+
+    def of(robots: Sequence[str], *rows: Channel) -> list[str]:
+        return [name(row, robot=robot) for robot in robots for row in rows]
+
+    return {
+        "tank": [
+            *of(ROBOTS, channels.TF, channels.PRIOR, channels.ESTIMATE, channels.POINTS),
+            *of(ROBOTS, channels.KEYFRAME_POINTS, channels.NEXT_VIEW),  # of a survey
+            name(channels.COVERAGE),
+        ],
+        **{robot: of([robot], channels.PREVIEW) for robot in ROBOTS},
+        "camera": of(ROBOTS[:1], channels.CAMERA_IMAGE, channels.CAMERA_MODEL),
+        "sweep": of(ROBOTS[:1], channels.SWEEP_IMAGE, channels.SWEEP_MODEL),
+        "log": of(ROBOTS, channels.LOG),
+        "protocol": of(ROBOTS, channels.PROTOCOL),
+        "times real time": [name(channels.RATE)],
+    }
+
+
+def write_blueprint(out: Path = OUT) -> None:
+    """Needs the extra `view`."""
+    import rerun.blueprint as rrb
+
+    shown = shown_channels()
+    (clock,) = shown["times real time"]
+    left = rrb.Vertical(
+        rrb.Spatial3DView(name="tank", origin="/", contents=shown["tank"]),
+        rrb.Horizontal(*(rrb.Spatial2DView(name=r, origin=shown[r][0], contents=shown[r]) for r in ROBOTS)),
+        rrb.Horizontal(
+            rrb.Spatial2DView(name="camera", origin="/r1/camera", contents=shown["camera"]),
+            rrb.Spatial2DView(name="sweep", origin="/r1/sweep", contents=shown["sweep"]),
+        ),
+    )
+    right = rrb.Vertical(
+        rrb.TextLogView(name="log", origin="/", contents=shown["log"]),
+        rrb.DataframeView(name="protocol", origin="/", contents=shown["protocol"]),
+        rrb.TimeSeriesView(name="times real time", origin="/", contents=clock, overrides=_rate_alone(clock)),
+        row_shares=[2, 2, 1],
+    )
+    rrb.Blueprint(rrb.Horizontal(left, right, column_shares=[3, 2])).save("aucamp", str(out))
+
+
+def _rate_alone(channel: str) -> dict[str, Any]:
+    """Of the messages on this channel, which Rerun takes for structs, one field is a line."""
+    import rerun as rr
+    from rerun.blueprint.encodings import ComponentSourceKind, VisualizerComponentMapping
+
+    rate = VisualizerComponentMapping(
+        "Scalars:scalars",
+        ComponentSourceKind.SourceComponent,
+        source_component=f"{channels.RATE.schema}:message",
+        selector=".rate",
+    )
+    return {channel: rr.SeriesLines(names="rate").visualizer(mappings=[rate])}
+
+
+if __name__ == "__main__":
+    write_blueprint()

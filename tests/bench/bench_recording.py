@@ -30,13 +30,12 @@ from agent.core.messages import Estimate, NeighbourState, State
 from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting
 from agent.process.launch import free_ports
 from agent.robot.fleet_reader import load_fleet
-from replay.files.backlog import Backlog, Entry
-from replay.files.channels import FROM_BOARD, STEP_IN, STEP_OUT, TO_BOARD, VISION
+from replay.files.channels import FROM_BOARD, STEP_IN, STEP_OUT, TO_BOARD, VISION, Backlog, Entry
 from replay.files.frames import frame_entries
 from replay.files.log import LogWriter, read
 from replay.files.recover import recover
 from replay.viewers.viewer_channels import ViewerChannels
-from router_config.session import peer_config
+from router_config.settings import peer_config
 from tests.places import ROOT
 from tests.sample_messages import estimate, telemetry
 

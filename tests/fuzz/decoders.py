@@ -23,7 +23,7 @@ from hw.camera.frame_socket import Reply, Request, Torn
 from hw.camera.v4l2 import MJPG, YUYV, Format
 from hw.camera.v4l2 import decode as picture
 from hw.firmware import wire
-from replay.files.backlog import Entry
+from replay.files.channels import Entry
 from replay.viewers.viewer_channels import ViewerChannels
 from tests.fuzz import mutate
 from tests.fuzz.kernel.swarm import Scene, fleet_of

@@ -12,9 +12,8 @@ import cv2
 from mcap.writer import Writer
 
 from replay.black_box_writer import BlackBoxWriter, black_box_log
-from replay.check.black_box import open_box
-from replay.files.backlog import Entry
-from replay.files.channels import STEP_OUT
+from replay.check.reexecute import open_box
+from replay.files.channels import STEP_OUT, Entry
 from replay.files.info import info
 from replay.files.log import read
 from replay.files.mcap_file import Part

@@ -24,21 +24,17 @@ from typer.testing import CliRunner
 from agent.__main__ import app
 from agent.core.config import ConfigError
 from agent.process.command import Failed
-from replay.check.check import check, text
+from replay.check.check import check, text, update_recordings
 from replay.check.explain import explain
-from replay.check.update import update_recordings
 from replay.check.vision_check import check_vision
-from replay.export.film import write_film
-from replay.export.json_lines import write_lines
-from replay.export.tables import write_tables
-from replay.files.auto_recover import auto_recovered
+from replay.export import write_film, write_lines, write_tables
 from replay.files.info import info
 from replay.files.log import read
-from replay.files.recover import recover_all
-from replay.files.suspect import suspecting
+from replay.files.mcap_walk import suspecting
+from replay.files.recover import auto_recovered, recover_all
 from replay.report.report import report
-from replay.report.run import open_run
-from replay.story.told import info_all
+from replay.report.timeline import open_run
+from replay.story import info_all
 from tests.fuzz.recording_bases import bases
 from tests.fuzz.recording_mutants import BYTES, rewritten
 from tests.replay.small_box import flat

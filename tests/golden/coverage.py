@@ -18,8 +18,7 @@ from typing import NamedTuple
 
 import coverage
 
-from replay.check.black_box import open_boxes
-from replay.check.reexecute import reexecute
+from replay.check.reexecute import open_boxes, reexecute
 from tests.golden import fleet_files
 from tests.places import GOLDEN, ROOT
 

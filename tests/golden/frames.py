@@ -19,8 +19,7 @@ from agent.core.step_io import Inputs, Sighting, SweepPlan
 from agent.perception.vision import rerun_vision
 from agent.process.agent_process import run_facts
 from agent.robot.step import Agent
-from replay.files.backlog import Entry
-from replay.files.channels import STEP_IN, STEP_OUT, VISION
+from replay.files.channels import STEP_IN, STEP_OUT, VISION, Entry
 from replay.files.frames import frame_entries
 from replay.files.mcap_file import Part
 from tests.known_lens import FITTED

@@ -24,7 +24,7 @@ from agent.core.step_io import Heard, Inputs, SetPoint, Sighting, SweepPlan
 from agent.process.keys import public_bytes, signing, unsigned
 from agent.robot.fleet_reader import load_fleet
 from replay.files.log import parts
-from replay.files.names import active
+from replay.files.mcap_file import active
 from tests.golden.fleet_files import write
 from tests.golden.frames import paint
 from tests.golden.light import dark_survey, fish

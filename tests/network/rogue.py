@@ -36,7 +36,7 @@ from agent.core.config import Fleet, dump
 from agent.core.messages import Estimate
 from agent.core.topics import LINK
 from agent.robot.fleet_reader import load_fleet
-from router_config.session import observer_config, peer_config
+from router_config.settings import observer_config, peer_config
 from tests.network.hostile.payloads import kinds
 from tests.places import ROOT
 from tests.waiting import until

@@ -10,8 +10,8 @@ from agent.core.codec import encoding
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import MAX_PAYLOAD, State
 from agent.core.topics import STATE
-from router_config.door import Sample, Session, unusable
-from router_config.session import observer_config, peer_config
+from router_config.session import Sample, Session, unusable
+from router_config.settings import observer_config, peer_config
 from tests.waiting import until
 
 

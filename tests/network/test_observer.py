@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 import zenoh
 
-import replay.roll_call
+import replay.recorder
 from agent.core import topics
 from agent.core.codec import decode
 from agent.core.config import ConfigError, Fleet
@@ -16,7 +16,7 @@ from agent.core.messages import Estimate, LogLine, State
 from agent.core.topics import STATE
 from agent.process.launch import run_router
 from agent.process.transport import Observer, Transport
-from router_config.session import peer_config
+from router_config.settings import peer_config
 from tests.waiting import until
 
 Fleets = Callable[..., Fleet]
@@ -102,7 +102,7 @@ def test_a_console_at_a_robot_sees_it_and_its_neighbours_and_nobody_else(
 def test_a_router_shows_all_and_joins_nobody(
     make_fleet: Fleets, estimate: Says, state: Shows, free_port: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(replay.roll_call, "SILENCE_S", 0.0)
+    monkeypatch.setattr(replay.recorder, "SILENCE_S", 0.0)
     fleet = make_fleet({"r1": (), "r2": ()})  # no link between them
     stop, endpoint, said = threading.Event(), f"tcp/127.0.0.1:{free_port}", []
     router = threading.Thread(target=run_router, args=(fleet, stop, endpoint, said.append))

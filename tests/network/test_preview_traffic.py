@@ -24,8 +24,8 @@ from agent.process.transport import Observer, Transport
 from replay.files.info import describe, info
 from replay.files.log import read
 from replay.recorder import Arrivals
-from router_config.door import Sample
-from router_config.session import peer_config
+from router_config.session import Sample
+from router_config.settings import peer_config
 from tests.network.recorder_thread import StartRecorder
 from tests.waiting import until
 

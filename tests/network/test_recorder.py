@@ -12,18 +12,17 @@ import msgspec
 import pytest
 import zenoh
 
-import replay.roll_call
+import replay.recorder
 from agent.core import topics
 from agent.core.codec import encode, encoding
 from agent.core.config import ConfigError, Fleet, dump
 from agent.core.messages import MAX_PAYLOAD, Estimate, LogLine, State
 from agent.core.topics import LINK, STATE
 from agent.process.transport import Transport
-from replay.files.backlog import Entry
-from replay.files.channels import ON_NETWORK
+from replay.files.channels import ON_NETWORK, Entry
 from replay.files.log import Limits, LogWriter, info, read
 from replay.files.mcap_file import Part
-from router_config.session import peer_config
+from router_config.settings import peer_config
 from tests.network.recorder_thread import StartRecorder, heard_everywhere
 from tests.places import ROOT
 from tests.waiting import until
@@ -40,7 +39,7 @@ def test_every_row_is_recorded_as_it_was_sent(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(replay.roll_call, "SILENCE_S", 60.0)  # both will be there, however busy this machine is
+    monkeypatch.setattr(replay.recorder, "SILENCE_S", 60.0)  # both will be there, however busy this machine is
     fleet = make_fleet(PAIR)
     out = tmp_path / "fleet.mcap"
     recorder = start_recorder(fleet, out)
@@ -174,7 +173,7 @@ def test_silence_is_told_once_and_leaves_no_file(
     tmp_path: Path,
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(replay.roll_call, "SILENCE_S", 0.1)
+    monkeypatch.setattr(replay.recorder, "SILENCE_S", 0.1)
     recorder = start_recorder(make_fleet(PAIR), tmp_path / "fleet.mcap")
     until(lambda: recorder.warnings)
     time.sleep(0.4)  # for a second one, which does not come

@@ -19,14 +19,14 @@ from pathlib import Path
 import pytest
 from msgspec.structs import replace
 
-import replay.view
+import replay.recorder
 from agent.clock.clock import SystemClock
 from agent.core.config import ConfigError, Fleet, dump
 from agent.core.messages import MAX_JPEG, Image, State
 from agent.ground.observe import view_fleets
 from agent.process.launch import is_free
 from agent.process.transport import Transport
-from replay.view import view
+from replay.recorder import view
 from tests.network.conftest import unused_port
 from tests.waiting import until
 
@@ -177,4 +177,4 @@ def test_a_port_that_is_taken_is_one_line(make_fleet: Callable[..., Fleet]) -> N
         other.listen()
         with pytest.raises(ConfigError, match="choose another with --port"):
             view(make_fleet({"r1": ()}), threading.Event(), SystemClock(), other.getsockname()[1])
-    assert replay.view.HOST == "127.0.0.1"
+    assert replay.recorder.HOST == "127.0.0.1"

@@ -11,8 +11,8 @@ import zenoh
 from msgspec.structs import replace
 
 from agent.core.config import Access, Fleet
-from router_config import session
-from router_config.metadata import metadata
+from router_config import settings
+from router_config.settings import metadata
 
 CHAIN = {"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)}
 
@@ -35,7 +35,7 @@ def accepted(text: str, path: str) -> Any:
 def test_every_key_of_a_base_file_is_known_to_zenoh_and_differs_from_its_default(base: str) -> None:
     text = resources.files("router_config").joinpath(base).read_text()
     default = leaves(json.loads(str(zenoh.Config())))
-    mine = leaves(json.loads(session._over(base, {})))
+    mine = leaves(json.loads(settings._over(base, {})))
     assert mine
     for path, value in mine.items():
         assert accepted(text, path) == value, path
@@ -44,18 +44,18 @@ def test_every_key_of_a_base_file_is_known_to_zenoh_and_differs_from_its_default
 
 def test_of_two_neighbours_the_later_named_dials(make_fleet: Callable[..., Fleet]) -> None:
     fleet = make_fleet(CHAIN)
-    text = session.peer_config(fleet, "r2")
+    text = settings.peer_config(fleet, "r2")
     assert accepted(text, "mode") == "peer"
     assert accepted(text, "listen/endpoints") == [fleet.robot["r2"].listen]
     assert accepted(text, "connect/endpoints") == [fleet.robot["r1"].listen]
     assert accepted(text, "metadata") == metadata(fleet, "r2")
-    assert accepted(session.peer_config(fleet, "r1"), "connect/endpoints") == []
-    assert accepted(session.peer_config(fleet, "r3"), "connect/endpoints") == [fleet.robot["r2"].listen]
+    assert accepted(settings.peer_config(fleet, "r1"), "connect/endpoints") == []
+    assert accepted(settings.peer_config(fleet, "r3"), "connect/endpoints") == [fleet.robot["r2"].listen]
 
 
 def test_what_keeps_a_swarm_alive(make_fleet: Callable[..., Fleet]) -> None:
     fleet = make_fleet(CHAIN)
-    for text in (session.peer_config(fleet, "r2"), session.observer_config(fleet), session.router_config(fleet)):
+    for text in (settings.peer_config(fleet, "r2"), settings.observer_config(fleet), settings.router_config(fleet)):
         assert accepted(text, "connect/timeout_ms") == -1
         assert accepted(text, "connect/exit_on_failure") is False
         assert accepted(text, "connect/retry/period_init_ms") == 100
@@ -65,17 +65,17 @@ def test_what_keeps_a_swarm_alive(make_fleet: Callable[..., Fleet]) -> None:
         assert accepted(text, "transport/link/tx/lease") == 2000
         assert accepted(text, "transport/link/rx/max_message_size") == 65536
         assert accepted(text, "transport/shared_memory/enabled") is False
-    assert accepted(session.peer_config(fleet, "r2"), "timestamping/enabled") is True
+    assert accepted(settings.peer_config(fleet, "r2"), "timestamping/enabled") is True
 
 
 def test_who_looks_dials_every_robot(make_fleet: Callable[..., Fleet]) -> None:
     fleet = make_fleet(CHAIN)
     everyone = [robot.listen for robot in fleet.robot.values()]
-    assert accepted(session.observer_config(fleet), "connect/endpoints") == everyone
-    assert accepted(session.observer_config(fleet), "listen/endpoints") == []
-    assert accepted(session.router_config(fleet, "tcp/127.0.0.1:17448"), "connect/endpoints") == everyone
-    assert accepted(session.router_config(fleet, "tcp/127.0.0.1:17448"), "listen/endpoints") == ["tcp/127.0.0.1:17448"]
-    assert accepted(session.router_config(fleet), "mode") == "router"
+    assert accepted(settings.observer_config(fleet), "connect/endpoints") == everyone
+    assert accepted(settings.observer_config(fleet), "listen/endpoints") == []
+    assert accepted(settings.router_config(fleet, "tcp/127.0.0.1:17448"), "connect/endpoints") == everyone
+    assert accepted(settings.router_config(fleet, "tcp/127.0.0.1:17448"), "listen/endpoints") == ["tcp/127.0.0.1:17448"]
+    assert accepted(settings.router_config(fleet), "mode") == "router"
 
 
 def secured(fleet: Fleet) -> Fleet:
@@ -86,10 +86,10 @@ def secured(fleet: Fleet) -> Fleet:
 def test_certificates_and_rules_are_as_zenoh_has_them(make_fleet: Callable[..., Fleet]) -> None:
     fleet, keys = secured(make_fleet(CHAIN)), Path("/keys")
     for text, name in (
-        (session.peer_config(fleet, "r2", keys), "r2"),
-        (session.observer_config(fleet, "ann", keys), "ann"),
-        (session.observer_config(fleet, "recorder", keys), "recorder"),
-        (session.router_config(fleet, "tls/127.0.0.1:17448", keys), "router"),
+        (settings.peer_config(fleet, "r2", keys), "r2"),
+        (settings.observer_config(fleet, "ann", keys), "ann"),
+        (settings.observer_config(fleet, "recorder", keys), "recorder"),
+        (settings.router_config(fleet, "tls/127.0.0.1:17448", keys), "router"),
     ):
         ours, theirs = json.loads(text), accepted(text, "transport/link/tls")
         assert {key: theirs[key] for key in ours["transport"]["link"]["tls"]} == ours["transport"]["link"]["tls"]
@@ -107,4 +107,4 @@ def test_a_secured_fleet_has_no_configuration_without_its_keys(make_fleet: Calla
     fleet = secured(make_fleet(CHAIN))
     for keys in (None, Path("keys")):
         with pytest.raises(ValueError, match="needs the full path of its folder of keys"):
-            session.peer_config(fleet, "r1", keys)
+            settings.peer_config(fleet, "r1", keys)

@@ -26,7 +26,7 @@ from agent.core.step_io import Outputs
 from agent.demo.demo import demo_fleet
 from agent.process.transport import Observer
 from replay.files.log import read
-from router_config.session import observer_config
+from router_config.settings import observer_config
 from tests.killing import killed_after
 from tests.network.kept_time import kept_time
 from tests.places import ROOT

@@ -18,7 +18,7 @@ from agent.core.messages import MAX_PAYLOAD, Estimate, Presence, State
 from agent.core.step_io import Heard
 from agent.core.topics import LINK
 from agent.process.transport import Transport
-from router_config.session import peer_config
+from router_config.settings import peer_config
 from tests.sample_messages import presence
 from tests.waiting import until
 

@@ -12,9 +12,9 @@ from agent.core.step_io import Outputs, SweepOutcome
 from agent.reconstruction.refine_poses import DEPTH_M, LEVEL_RAD, Sigmas, covariance_of
 from agent.reconstruction.sources import aligned, recorded_views
 from agent.reconstruction.views import rotation_of, see, surface_points
-from replay.check.black_box import open_box
+from replay.check.reexecute import open_box
 from replay.files.log import read
-from replay.viewers.whole_sweeps import SweepFrame, whole_sweeps
+from replay.viewers.viewer_channels import SweepFrame, whole_sweeps
 from tests.places import ROOT
 
 SEEN = ROOT / "tests" / "golden" / "seen"

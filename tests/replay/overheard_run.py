@@ -8,9 +8,8 @@ from agent.core.codec import decode, encode
 from agent.core.config import dump
 from agent.core.messages import Message
 from agent.core.step_io import Outputs
-from replay.check.black_box import open_boxes
-from replay.files.backlog import Entry
-from replay.files.channels import NETWORK, name
+from replay.check.reexecute import open_boxes
+from replay.files.channels import NETWORK, Entry, name
 from replay.files.mcap_file import Part
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Callable
 from pathlib import Path
 
-from replay.files.backlog import Entry
+from replay.files.channels import Entry
 from replay.files.log import Record, info, read
 from replay.files.mcap_file import Part
 

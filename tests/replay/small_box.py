@@ -17,9 +17,9 @@ from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting, Telemetry
 from agent.robot.fleet_reader import load_fleet
 from replay.black_box_writer import BlackBoxWriter, black_box_log
-from replay.files.clock_rate import RateNotes
+from replay.files.info import RateNotes
 from replay.files.log import LogWriter
-from replay.viewers.whole_sweeps import SweepDepth, SweepFrame
+from replay.viewers.viewer_channels import SweepDepth, SweepFrame
 from tests.known_lens import CAMERA, PLAIN
 from tests.places import ROOT
 from tests.replay.paced_clock import PacedClock

@@ -14,8 +14,7 @@ from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Inputs, Ordered, Outputs
 from agent.process.agent_process import run_facts
 from agent.robot.step import Agent
-from replay.files.backlog import Entry
-from replay.files.channels import STEP_IN, STEP_OUT
+from replay.files.channels import STEP_IN, STEP_OUT, Entry
 from replay.files.mcap_file import Part
 
 LIMIT = 10**6  # bytes of a step's inputs

@@ -14,12 +14,10 @@ from agent.core import topics
 from agent.core.codec import encode, encoding
 from agent.core.messages import MAX_PAYLOAD, NeighbourState, State
 from agent.core.topics import STATE
-from replay.files.backlog import Entry
-from replay.files.channels import DROPS, NETWORK, PRESENCE, name
+from replay.files.channels import DROPS, NETWORK, PRESENCE, Entry, name
 from replay.files.info import describe, info
 from replay.files.log import LogWriter, read
-from replay.recorder import Arrivals
-from replay.view import show_all_of
+from replay.recorder import Arrivals, show_all_of
 from replay.viewers.viewer_channels import ViewerChannels
 from tests.replay.small_box import FLEET, START_NS, state
 

@@ -2,9 +2,9 @@
 
 import pytest
 
-import replay.roll_call
+import replay.recorder
 from agent.core.config import Fleet, Pose, Robot, Target
-from replay.roll_call import RollCall
+from replay.recorder import RollCall
 
 
 def fleet(robots: int = 3) -> Fleet:
@@ -21,7 +21,7 @@ def fleet(robots: int = 3) -> Fleet:
 
 @pytest.fixture(autouse=True)
 def at_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(replay.roll_call, "SILENCE_S", 0.0)
+    monkeypatch.setattr(replay.recorder, "SILENCE_S", 0.0)
 
 
 def told(*heard: str, robots: int = 3, end: bool = False) -> list[str]:
@@ -69,7 +69,7 @@ def test_all_are_heard_and_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> N
     roll = RollCall(fleet(), said.append)
     roll.look({"r1", "r2", "r3"})
     roll.end()
-    monkeypatch.setattr(replay.roll_call, "SILENCE_S", 3600.0)
+    monkeypatch.setattr(replay.recorder, "SILENCE_S", 3600.0)
     early = RollCall(fleet(), said.append)
     early.look(())
     early.end()

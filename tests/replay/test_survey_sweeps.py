@@ -4,7 +4,7 @@ import pytest
 
 from agent.core.step_io import Sighting
 from replay.files.frames import Picture
-from replay.taken_sweeps import rising
+from replay.whole_sweeps import rising
 
 
 def frame(n: int, focus: int | None) -> tuple[Picture, Sighting]:

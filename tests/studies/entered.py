@@ -18,7 +18,7 @@ from pathlib import Path
 from types import CodeType, FrameType
 from typing import Any, Literal
 
-from router_config.door import Session
+from router_config.session import Session
 from tests.places import ROOT
 
 PRODUCT = ("agent", "hw", "replay", "router_config")

@@ -18,7 +18,7 @@ from agent.core.step_io import Outputs, SetPoint
 from agent.process.agent_process import STEP_NS, Runtime
 from agent.robot.step import Agent
 from hw.camera.camera import Camera, CameraGone, Frame, Image, Roi
-from replay.check.black_box import STEP_BYTES
+from replay.check.reexecute import STEP_BYTES
 from tests.golden.frames import CENTRE_M
 from tests.golden.make import CASES, START_NS, fleet_of
 from tests.known_lens import FITTED

@@ -39,8 +39,8 @@ from agent.process.transport import Observer, Transport
 from agent.robot.fleet_reader import load_fleet
 from agent.robot.step import Agent
 from hw.stm32.driver import Motors, Stm32
-from replay.check.black_box import STEP_BYTES, open_boxes
 from replay.check.check import check, text
+from replay.check.reexecute import STEP_BYTES, open_boxes
 from tests.ground.page.shown import opened
 from tests.known_lens import FITTED
 from tests.network.conftest import unused_port

@@ -24,8 +24,8 @@ from agent.core.topics import Topic
 from agent.process.certificates import credentials
 from agent.process.transport import LOOKER, Observer, Received, fleet_clock
 from hw.firmware.failsafe import SURFACE
-from router_config.door import Session
-from router_config.session import client_config
+from router_config.session import Session
+from router_config.settings import client_config
 
 # @@ hearing
 # What a robot says in its own name.

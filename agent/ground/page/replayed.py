@@ -20,13 +20,11 @@ from agent.core.codec import Refusal
 from agent.core.config import ConfigError, Fleet
 from agent.core.topics import Topic
 from agent.ground.page.rows import CAME, KEPT, LINES, SELDOM_NS, Board, Rows, text
-from replay.check.black_box import recordings
+from replay.check.reexecute import recordings
 from replay.files.channels import network_topic
 from replay.files.log import read
-from replay.report.fleet_timeline import open_fleet_file
-from replay.report.lead.lead import lead
-from replay.report.run import open_run
-from replay.report.surveyed import surveyed
+from replay.report.lead import lead
+from replay.report.timeline import open_fleet_file, open_run, surveyed
 
 # @@ reel
 # A recording of a fleet, laid out so that any moment of it can be shown: rows by time, their payloads on the disk.

@@ -38,8 +38,7 @@ from agent.process.transport import LOOKER, Observer, fleet_clock
 from agent.robot.fleet_reader import load_fleet
 from agent.robot.verbs import VERBS
 from replay.recorder import record
-from replay.report.lead.palette import PALETTE
-from replay.report.lead.picture import LOOKS
+from replay.report.page import LOOKS, PALETTE
 
 HOST = "127.0.0.1"  # from elsewhere by ssh -L PORT:127.0.0.1:PORT, the same port on both sides
 PORT = 8766

@@ -28,8 +28,8 @@ from agent.ground.new_fleet import make_all
 from agent.process.certificates import authority, certificate_file, issue, key_file, write
 from agent.process.launch import free_ports
 from replay.recorder import Arrivals, receiving
-from router_config.door import Session
-from router_config.session import peer_config
+from router_config.session import Session
+from router_config.settings import peer_config
 from tests.places import ROOT
 from tests.waiting import until
 

@@ -13,8 +13,8 @@ from pathlib import Path
 from agent.core import topics
 from agent.process.certificates import credentials
 from agent.robot.fleet_reader import load_fleet
-from router_config.door import Session
-from router_config.session import peer_config
+from router_config.session import Session
+from router_config.settings import peer_config
 
 SIZE = 600  # bytes: an estimate
 MUTE_S = 60.0

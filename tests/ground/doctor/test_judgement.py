@@ -6,8 +6,8 @@ from agent.core.config import Fleet, Pose, Robot, Target
 from agent.core.messages import NeighbourState, State
 from agent.ground.doctor import neighbour_findings, robot_findings
 from agent.ground.doctor_facts import Agent, Facts, Offset, Shown, Stamps, best, clock_finding, endpoints
-from router_config.door import Link
-from router_config.metadata import metadata
+from router_config.session import Link
+from router_config.settings import metadata
 
 NAMES = ("r1", "r2")
 

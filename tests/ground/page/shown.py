@@ -19,8 +19,7 @@ from agent.core.messages import Image, LogLine, Message, State
 from agent.core.topics import Topic, key, match
 from agent.ground.page.rows import Board
 from agent.ground.page.server import serving
-from replay.files.backlog import Entry
-from replay.files.channels import NETWORK, name
+from replay.files.channels import NETWORK, Entry, name
 from replay.files.log import LogWriter
 from tests.network.conftest import unused_port
 

@@ -5,9 +5,8 @@ from collections.abc import Callable
 from msgspec import json
 
 from agent.core.config import Fleet
-from router_config.door import Link, Session
-from router_config.metadata import metadata
-from router_config.session import observer_config, peer_config
+from router_config.session import Link, Session
+from router_config.settings import metadata, observer_config, peer_config
 from tests.waiting import until
 
 

@@ -12,7 +12,7 @@ from agent.core.config import Fleet
 from agent.core.messages import NeighbourState, State
 from agent.ground import doctor_facts
 from agent.ground.doctor_facts import Facts, Looker, _Ears, listen
-from router_config.session import observer_config
+from router_config.settings import observer_config
 
 
 class Arriving:

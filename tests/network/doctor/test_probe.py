@@ -16,7 +16,7 @@ from msgspec import json
 
 from agent.ground.doctor import PROBE_S, context, probe, speaks_tls
 from agent.process.certificates import CLIENT, SERVER, Pair, certificate_file, issue, key_file, make_ca, write
-from router_config.session import tls
+from router_config.settings import tls
 from tests.network.conftest import unused_port
 
 NOW, DAY, HERE = datetime.now(UTC), timedelta(days=1), ("127.0.0.1",)

@@ -17,7 +17,7 @@ from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole
 from agent.process.links import WAITING
 from agent.process.transport import Observer
-from router_config.session import observer_config
+from router_config.settings import observer_config
 from tests.network.orders.answering import Loop
 from tests.waiting import until
 

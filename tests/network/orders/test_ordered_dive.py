@@ -17,8 +17,8 @@ from agent.core.step_io import Inputs, Outputs
 from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole
 from hw.firmware.failsafe import SURFACE
-from replay.check.black_box import STEP_BYTES, open_boxes
 from replay.check.check import check
+from replay.check.reexecute import STEP_BYTES, open_boxes
 from replay.files.channels import network_topic
 from replay.files.log import read
 from tests.network.dives.dive_of_two import dive_of_two

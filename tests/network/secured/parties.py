@@ -17,7 +17,7 @@ from agent.core import topics
 from agent.core.config import Access, Fleet
 from agent.ground.new_fleet import make_all
 from agent.process.certificates import authority, issue, write
-from router_config.session import tls
+from router_config.settings import tls
 
 CHAIN = {"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)}
 CONSOLES = ("ann", "bob")

@@ -12,7 +12,7 @@ from msgspec.structs import replace
 
 from agent.core.config import Fleet
 from agent.process.certificates import CLIENT, SERVER, Pair, authority, issue, make_ca, write
-from router_config.session import peer_config
+from router_config.settings import peer_config
 from tests.network.conftest import unused_port
 from tests.network.secured.conftest import Secured
 from tests.network.secured.parties import HERE, Ear, client, listener, opened, peer, say_everything

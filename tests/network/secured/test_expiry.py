@@ -8,7 +8,7 @@ import pytest
 import zenoh
 
 from agent.process.certificates import authority, certificate_file, issue, key_file, write
-from router_config.session import peer_config
+from router_config.settings import peer_config
 from tests.network.secured.conftest import Secured
 from tests.network.secured.parties import HERE, Ear, opened
 from tests.waiting import until

@@ -19,7 +19,7 @@ from agent.core.config import Fleet
 from agent.core.messages import LogLine, State
 from agent.process.transport import Observer, Transport
 from replay.recorder import Arrivals, receiving
-from router_config.session import observer_config
+from router_config.settings import observer_config
 from tests.network.secured.conftest import Secured
 from tests.network.secured.parties import CHAIN, STRANGER, client, listener, opened
 from tests.waiting import until

@@ -1,6 +1,6 @@
 """Every (certificate, receiver, key): who is believed what by whom, and who hears what of whom.
 
-What is expected is spelled here a second time, from the keys alone; the rules themselves are router_config/access.py.
+What is expected is spelled here a second time, from the keys alone; the rules themselves are router_config/settings.py.
 """
 
 import contextlib
@@ -14,7 +14,7 @@ import zenoh
 
 from agent.core import topics
 from agent.core.config import Fleet
-from router_config.session import observer_config, peer_config, router_config
+from router_config.settings import observer_config, peer_config, router_config
 from tests.network.conftest import unused_port
 from tests.network.secured.conftest import Secured
 from tests.network.secured.parties import (

@@ -19,8 +19,8 @@ from agent.ground.observe import next_picture
 from agent.process.certificates import CONSOLE_FILE
 from agent.process.launch import run_router
 from agent.process.transport import Transport
-from router_config.door import Session
-from router_config.session import peer_config, tls
+from router_config.session import Session
+from router_config.settings import peer_config, tls
 from tests.network.conftest import unused_port
 from tests.network.recorder_thread import StartRecorder
 from tests.network.secured.conftest import Secured

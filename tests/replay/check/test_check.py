@@ -13,8 +13,8 @@ from agent.core.config import ConfigError
 from replay.check.check import check, text
 from replay.check.compare import Difference, differences, distance_ulps
 from replay.check.reexecute import CPU_CLASS
-from replay.files.environment import environment
 from replay.files.log import Record
+from replay.files.mcap_file import environment
 from tests.places import GOLDEN
 from tests.replay.rewritten import rewritten
 
@@ -57,7 +57,7 @@ def only(step: int, change):
 
 def stated(since: int) -> int:
     """The first step from `since` on in which the golden robot shows a posterior."""
-    from replay.check.black_box import open_box
+    from replay.check.reexecute import open_box
 
     for step in open_box(R1).steps():
         state = msgpack.unpackb(step.outputs)["state"]
@@ -84,7 +84,7 @@ def test_robots_side_by_side_are_found_the_same_as_in_turn(tmp_path: Path, monke
     rewritten(R1, tmp_path / "r1.mcap", nudged(step), run=here())
     shutil.copy(GOLDEN / "three" / "r2.mcap", tmp_path)
     in_turn = check([tmp_path])
-    monkeypatch.setattr("replay.check.side_by_side.WORTH_STEPS", 0)
+    monkeypatch.setattr("replay.check.check.WORTH_STEPS", 0)
     side_by_side = check([tmp_path])
     assert side_by_side.first.step == in_turn.first.step == step
     assert text(side_by_side).splitlines()[:-1] == text(in_turn).splitlines()[:-1]  # the last one tells how fast it was

@@ -9,8 +9,8 @@ from agent.core.codec import decode
 from agent.core.config import ConfigError
 from agent.core.messages import State
 from agent.core.step_io import Outputs
-from replay.check.black_box import open_box
 from replay.check.explain import explain, find
+from replay.check.reexecute import open_box
 from tests.places import GOLDEN
 
 R2 = GOLDEN / "three" / "r2.mcap"

@@ -18,8 +18,8 @@ from agent.core.step_io import Outputs
 from agent.perception.vision import rerun_vision
 from agent.robot.operator import BROKE
 from agent.robot.verbs import VERBS
-from replay.check.black_box import open_box, open_boxes
 from replay.check.check import check, text
+from replay.check.reexecute import open_box, open_boxes
 from replay.check.vision_check import check_vision
 from tests.golden import fleet_files, orders, swim
 from tests.places import GOLDEN, ROOT

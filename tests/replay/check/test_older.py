@@ -8,17 +8,15 @@ import pytest
 
 from agent.core.config import ConfigError
 from agent.perception.vision import rerun_vision
-from replay.check.black_box import open_box, schema_of
-from replay.check.check import check, text
-from replay.check.compare import ABSENT, Difference
+from replay.check.check import check, text, update_recordings
+from replay.check.compare import ABSENT, Difference, must_differ
 from replay.check.explain import explain
-from replay.check.older import must_differ
-from replay.check.update import update_recordings
+from replay.check.reexecute import open_box, schema_of
 from replay.check.vision_check import check_vision
 from replay.files.log import Record
 from replay.files.recover import recover
 from replay.report.report import report
-from replay.report.run import open_run
+from replay.report.timeline import open_run
 from tests.places import GOLDEN
 from tests.replay.overheard_run import overheard_run
 from tests.replay.rewritten import rewritten

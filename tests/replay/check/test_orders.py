@@ -6,16 +6,14 @@ import pytest
 
 from agent.core.codec import decode, encode
 from agent.core.step_io import Outputs
-from replay.check.black_box import open_boxes
 from replay.check.check import check
 from replay.check.explain import explain
-from replay.check.reexecute import describe_inputs
-from replay.files.backlog import Entry
-from replay.files.channels import STEP_OUT
+from replay.check.reexecute import describe_inputs, open_boxes
+from replay.files.channels import STEP_OUT, Entry
 from replay.files.log import Record, read
 from replay.report.report import report
-from replay.report.run import open_run
 from replay.report.tables import orders, remarks
+from replay.report.timeline import open_run
 from replay.viewers.viewer_channels import ViewerChannels
 from tests.network.scripted_agent import CALIBRATION
 from tests.replay.rewritten import rewritten

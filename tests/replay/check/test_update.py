@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from agent.core.config import ConfigError
-from replay.check.check import check
-from replay.check.update import update_recordings
+from replay.check.check import check, update_recordings
 from replay.files.log import info, read
 from tests.places import GOLDEN
 from tests.replay.rewritten import rewritten

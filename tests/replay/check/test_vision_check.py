@@ -11,10 +11,9 @@ from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting, SweepOutcome
 from agent.perception.clarity import disc_clarity
 from agent.perception.detection.detect import find_ball
 from agent.perception.vision import rerun_vision
-from replay.check.black_box import open_box
+from replay.check.reexecute import open_box
 from replay.check.vision_check import SightingPair, check_vision, compare
-from replay.files.backlog import Entry
-from replay.files.channels import STEP_IN, STEP_OUT, VISION
+from replay.files.channels import STEP_IN, STEP_OUT, VISION, Entry
 from replay.files.frames import frame_entries
 from replay.files.log import info
 from replay.files.mcap_file import Part

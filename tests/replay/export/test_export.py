@@ -12,11 +12,8 @@ from agent.__main__ import app
 from agent.core.codec import decode
 from agent.core.config import ConfigError
 from agent.core.step_io import Inputs, Outputs, Sighting
-from replay.check.black_box import open_box
-from replay.export.film import FPS, write_film
-from replay.export.json_lines import lines, write_lines
-from replay.export.source import recordings_of
-from replay.export.tables import write_tables
+from replay.check.reexecute import open_box
+from replay.export import FPS, lines, recordings_of, write_film, write_lines, write_tables
 from replay.files.channels import VISION
 from replay.files.info import info
 from replay.files.log import read

@@ -8,10 +8,9 @@ from pathlib import Path
 
 import pytest
 
-from replay.files.auto_recover import auto_recovered, recovering, torn_files
 from replay.files.info import info
-from replay.files.names import active, recovered
-from replay.files.recover import recover
+from replay.files.mcap_file import active, recovered
+from replay.files.recover import auto_recovered, recover, recovering, torn_files
 from tests.places import GOLDEN, ROOT
 from tests.replay.small_box import write_box
 from tests.waiting import until

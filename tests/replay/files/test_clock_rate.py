@@ -9,11 +9,10 @@ from agent.clock.clock import SystemClock
 from agent.core.codec import decode, encode
 from agent.core.messages import LogLine
 from replay.files.channels import CLOCK
-from replay.files.clock_rate import ClockRate, Moment, Pace, RateNotes, in_dive, moment, pace
-from replay.files.info import describe, info
+from replay.files.info import ClockRate, Moment, Pace, RateNotes, describe, in_dive, info, moment, pace
 from replay.files.log import LogWriter, read
 from replay.files.recover import recover
-from replay.story.told import info_all
+from replay.story import info_all
 from tests.replay.paced_clock import PacedClock
 from tests.replay.small_box import START_NS, write_box
 

@@ -7,10 +7,10 @@ import pytest
 from mcap.writer import Writer
 
 from agent.core.config import ConfigError
-from replay.files.backlog import Entry
+from replay.files.channels import Entry
 from replay.files.info import describe, info
 from replay.files.log import LogWriter
-from replay.story.told import info_all
+from replay.story import info_all
 from tests.replay.small_box import STEPS, write_box
 
 

@@ -14,8 +14,7 @@ import pytest
 
 import replay.files.log
 from agent.core.config import ConfigError
-from replay.files.backlog import Backlog, Entry
-from replay.files.channels import DROPS
+from replay.files.channels import DROPS, Backlog, Entry
 from replay.files.log import LogWriter, info, read, unused
 from replay.files.mcap_file import Part
 from tests.places import ROOT
@@ -175,7 +174,7 @@ def test_a_corrupted_chunk_is_not_believed(tmp_path: Path) -> None:
 
 WRITE_FOR_EVER = """
 import itertools, pathlib, sys, time
-from replay.files.backlog import Entry
+from replay.files.channels import Entry
 from replay.files.log import LogWriter
 with LogWriter(pathlib.Path(sys.argv[1]), {}) as writer:
     for n in itertools.count():

@@ -13,8 +13,7 @@ import pytest
 import replay.files.log
 from agent.core.config import ConfigError
 from replay.check.check import check
-from replay.files.backlog import Backlog, Entry
-from replay.files.channels import FRAME, STEP_IN, STEP_OUT, entry_on
+from replay.files.channels import FRAME, STEP_IN, STEP_OUT, Backlog, Entry, entry_on
 from replay.files.info import describe, info
 from replay.files.log import Limits, LogWriter, parts, read
 from tests.places import GOLDEN, ROOT

@@ -7,15 +7,11 @@ from pathlib import Path
 import pytest
 
 from agent.core.config import ConfigError
-from replay.files.auto_recover import torn_files
-from replay.files.backlog import Entry
-from replay.files.channels import CUT, STEP_IN, STEP_OUT
-from replay.files.file_lock import hold, is_held
+from replay.files.channels import CUT, STEP_IN, STEP_OUT, Entry
 from replay.files.info import describe, info
 from replay.files.log import LogWriter, Record, read
-from replay.files.mcap_file import Part
-from replay.files.names import active
-from replay.files.recover import recover, recover_all, sound
+from replay.files.mcap_file import Part, active, hold, is_held
+from replay.files.recover import recover, recover_all, sound, torn_files
 from tests.replay.small_box import STEPS, write_box
 from tests.waiting import until
 

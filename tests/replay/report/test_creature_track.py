@@ -10,10 +10,9 @@ from agent.core.messages import Estimate, Explain
 from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
-from replay.check.black_box import open_box
-from replay.report.creature_track import creature_track, true_path
-from replay.report.figures_track import made_of, seen_when, track_above
-from replay.report.track_tables import lost_table
+from replay.check.reexecute import open_box
+from replay.report.creature_track import creature_track, lost_table, true_path
+from replay.report.figures import made_of, seen_when, track_above
 from tests.replay.small_box import CALIBRATION, state
 from tests.replay.step_box import StepBox
 from tests.swum_track import START_NS, swum

@@ -10,14 +10,10 @@ import msgspec
 import pytest
 
 from agent.core.config import Fleet
-from replay.check.black_box import open_boxes
-from replay.report.lead.ends import ends
-from replay.report.lead.lead import lead
-from replay.report.lead.outcome import outcome
-from replay.report.lead.picture import Floor, Held, Robot, Thing, close_up, from_above
-from replay.report.lead.sentence import plain
-from replay.report.run import Run, open_run
-from replay.report.surveyed import surveyed
+from replay.check.reexecute import open_boxes
+from replay.report.lead import ends, lead, outcome, plain
+from replay.report.page import Floor, Held, Robot, Thing, close_up, from_above
+from replay.report.timeline import Run, open_run, surveyed
 from tests.places import GOLDEN
 
 R1 = Robot("r1", 0, (0.5, 0.25), yaw=0.0, looks=math.pi / 2, sees=True)

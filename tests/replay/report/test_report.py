@@ -14,13 +14,11 @@ import pytest
 
 from agent.core.config import ConfigError, Target, dump
 from agent.core.messages import LogLine
-from replay.check.black_box import open_boxes
-from replay.report.errors import error_table, relative_percent
-from replay.report.figures_posture import hover, thin
+from replay.check.reexecute import open_boxes
+from replay.report.figures import hover, thin
 from replay.report.report import report
-from replay.report.robot_timeline import timelines
-from replay.report.run import open_run
-from replay.report.tables import error_note, events, remarks
+from replay.report.tables import error_note, error_table, events, relative_percent, remarks
+from replay.report.timeline import open_run, timelines
 from tests.places import GOLDEN
 from tests.replay.page_tables import table
 from tests.replay.rewritten import rewritten

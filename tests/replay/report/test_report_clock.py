@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from agent.clock.clock import SystemClock
-from replay.check.black_box import open_box
-from replay.files.backlog import Entry
-from replay.files.clock_rate import RateNotes
+from replay.check.reexecute import open_box
+from replay.files.channels import Entry
+from replay.files.info import RateNotes
 from replay.files.log import info, read
 from replay.files.mcap_file import Part
 from replay.report.report import report
-from replay.report.run import open_run
+from replay.report.timeline import open_run
 from tests.places import GOLDEN
 from tests.replay.overheard_run import overheard_run
 from tests.replay.paced_clock import PacedClock

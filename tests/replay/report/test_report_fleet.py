@@ -7,10 +7,9 @@ import pytest
 
 from agent.core.config import ConfigError
 from agent.core.messages import LogLine, Message
-from replay.check.black_box import open_boxes
-from replay.report.fleet_timeline import open_fleet_file, overheard
+from replay.check.reexecute import open_boxes
 from replay.report.report import report
-from replay.report.robot_timeline import timelines
+from replay.report.timeline import open_fleet_file, overheard, timelines
 from tests.places import GOLDEN
 from tests.replay.overheard_run import overheard_run
 from tests.replay.page_tables import table

@@ -2,8 +2,7 @@
 
 import pytest
 
-from replay.report.lead.outcome import Found, Outcome, RobotOutcome, Survey
-from replay.report.lead.sentence import millimetres, plain, seconds, sentence
+from replay.report.lead import Found, Outcome, RobotOutcome, Survey, millimetres, plain, seconds, sentence
 
 FLEET = ("r1", "r2", "r3")
 HEARD = {name: RobotOutcome(60.0) for name in FLEET}

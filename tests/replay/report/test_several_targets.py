@@ -4,13 +4,12 @@ import math
 import shutil
 from pathlib import Path
 
-from replay.check.black_box import open_boxes
 from replay.check.explain import explain
-from replay.files.backlog import Entry
-from replay.files.channels import STEP_OUT
+from replay.check.reexecute import open_boxes
+from replay.files.channels import STEP_OUT, Entry
 from replay.files.log import read
 from replay.report.report import report
-from replay.report.robot_timeline import timelines
+from replay.report.timeline import timelines
 from replay.viewers.viewer_channels import ViewerChannels
 from tests.places import GOLDEN
 

@@ -4,11 +4,11 @@ from pathlib import Path
 
 import pytest
 
-from replay.check.black_box import open_boxes
-from replay.report.figures_survey import floor_above, known_over_time
+from replay.check.reexecute import open_boxes
+from replay.report.figures import floor_above, known_over_time
 from replay.report.report import report
-from replay.report.surveyed import surveyed
 from replay.report.tables import survey_table
+from replay.report.timeline import surveyed
 from tests.replay.small_box import write_box
 
 GOLDEN = Path(__file__).parents[2] / "golden"

@@ -11,9 +11,7 @@ from agent.__main__ import app
 from agent.core.config import ConfigError
 from agent.core.messages import Message, State
 from replay.files.info import info
-from replay.story.facts import story_facts
-from replay.story.told import info_all
-from replay.story.words import listed, story
+from replay.story import info_all, listed, story, story_facts
 from tests.places import GOLDEN
 from tests.replay.overheard_run import overheard_run
 

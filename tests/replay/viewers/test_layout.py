@@ -12,7 +12,7 @@ import pytest
 
 from agent.core.config import ConfigError, Fleet
 from agent.robot.fleet_reader import load_fleet
-from replay.view import where_the_layout_is
+from replay.recorder import where_the_layout_is
 from replay.viewers.layout import foxglove_layout, shipped, write
 
 

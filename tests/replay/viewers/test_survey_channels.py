@@ -17,9 +17,9 @@ from agent.core.capability_messages import UNIT_M, Claim, Frame, Keyframe, View,
 from agent.core.codec import encode
 from agent.core.messages import State, Whereabouts
 from agent.core.step_io import Outputs, SetPoint
-from replay.files.backlog import Entry
+from replay.files.channels import Entry
+from replay.viewers.foxglove import message_class
 from replay.viewers.layout import foxglove_layout
-from replay.viewers.plots import message_class
 from replay.viewers.viewer_channels import ViewerChannels
 from tests.capabilities.survey.frames import FLEET, GRID, LENS, ROWS, SIGMA, drawn_frames
 from tests.replay.small_box import state

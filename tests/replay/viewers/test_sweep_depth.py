@@ -14,7 +14,7 @@ from replay.files.channels import VISION, entry_on
 from replay.files.frames import frame_entries
 from replay.files.log import LogWriter, read
 from replay.report.report import report
-from replay.viewers.whole_sweeps import SweepFrame, sweep_points, whole_sweeps
+from replay.viewers.viewer_channels import SweepFrame, sweep_points, whole_sweeps
 from tests.perception.painted import PX_PER_POSITION, ball_light, defocus, expose
 from tests.replay.small_box import CALIBRATION, flat, write_box
 

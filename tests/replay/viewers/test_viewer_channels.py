@@ -21,15 +21,13 @@ from mcap_protobuf.decoder import DecoderFactory
 from agent.core.codec import decode
 from agent.core.ranging.camera_model import camera_pose
 from agent.core.step_io import Sighting
-from replay.files.backlog import Entry
-from replay.files.channels import FRAME, VISION
+from replay.files.channels import FRAME, VISION, Entry
 from replay.files.frames import EXACT_EVERY, Frames, pixels
 from replay.files.info import info
 from replay.files.log import read
-from replay.viewers import rerun_blueprint
-from replay.viewers.foxglove import Turn, transforms
+from replay.viewers import layout
+from replay.viewers.foxglove import PLOTS, Turn, plot, transforms
 from replay.viewers.layout import shipped
-from replay.viewers.plots import PLOTS, plot
 from replay.viewers.viewer_channels import ViewerChannels
 from tests.replay.small_box import CALIBRATION, FLEET, START_NS, STEP_NS, STEPS, disc, flat, state, write_box
 
@@ -210,7 +208,7 @@ def test_the_layouts_show_channels_that_exist(box: Path) -> None:
     text = shipped("foxglove.json").read_text(encoding="utf-8")
     json.loads(text)
     named = set(re.findall(r"/r\d/[a-z/]*[a-z]", text))
-    named |= {channel for view in rerun_blueprint.shown_channels().values() for channel in view}
+    named |= {channel for view in layout.shown_channels().values() for channel in view}
     # The last: of a fleet file, and of a survey.
     exist = {*info(box).channels, "/r1/preview", "/r1/survey/keyframe", "/r1/survey/next", "/survey/map"}
     assert len(named) > 12
@@ -262,5 +260,5 @@ def test_rerun_accepts_the_file_and_shows_each_channel_as_what_it_is(box: Path, 
 def test_the_rerun_layout_can_be_written_again(tmp_path: Path) -> None:
     if importlib.util.find_spec("rerun") is None:
         pytest.skip("rerun-sdk is not installed")
-    rerun_blueprint.write_blueprint(tmp_path / "rerun.rbl")
+    layout.write_blueprint(tmp_path / "rerun.rbl")
     assert (tmp_path / "rerun.rbl").read_bytes()[:3] == b"RRF"

@@ -1,0 +1,497 @@
+"""Every message of a recording as one line of JSON, decoded.
+
+A line is {"file", "channel", "log_time_ns", "publish_time_ns", "sequence", "message"}. Bytes become {"base64": "..."},
+but for messages of neighbours as they came into a step, which are decoded too. Of protobuf messages the fields have
+their own names, bytes are base64, 64-bit integers are texts, and what is not a number is "NaN", as protobuf has it.
+"""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import csv
+import json
+import math
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import cv2
+import msgspec
+import numpy as np
+from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
+from numpy.typing import NDArray
+
+from agent.core import topics
+from agent.core.codec import READABLE, Refusal, decode
+from agent.core.config import ConfigError
+from agent.core.messages import Image, State
+from agent.core.step_io import Inputs, Sighting, Telemetry
+from replay.check.reexecute import STEP_BYTES, BlackBox, black_boxes, open_box, recordings
+from replay.files.channels import VISION, network_topic
+from replay.files.frames import MAX_PIXELS, Frames, Picture, pixels
+from replay.files.info import info
+from replay.files.log import read
+from replay.files.mcap_file import parts
+from replay.files.mcap_walk import Channel, Message, Schema, Tear, records, suspecting
+from replay.report.timeline import RobotTimeline, Run, open_run
+
+# @@ source
+# Which recordings a path stands for, when something is to be made of them, and which robots are in these; and a file
+# that is made of them, or not at all.
+
+
+def recordings_of(path: Path) -> list[Path]:
+    """The recordings of a run's folder, or the one that is given. Raises ConfigError for a folder without any."""
+    if not path.is_dir():
+        return [path]
+    found = [*black_boxes(path), *recordings(path, "fleet")]
+    if not found:
+        raise ConfigError(f"{path}: has no recording (.mcap) in it; give the folder of a run, or a recording")
+    return found
+
+
+def wanted(robot: str | None, there: Iterable[str], path: Path) -> list[str]:
+    """The robot that was asked for, or all that are there. Raises ConfigError for one that is not."""
+    names = sorted(set(there))
+    if robot is None:
+        return names
+    if robot not in names:
+        raise ConfigError(f"{path}: has nothing of a robot '{robot}'; there is {', '.join(names) or 'none'}")
+    return [robot]
+
+
+@contextlib.contextmanager
+def whole_or_none(out: Path) -> Iterator[None]:
+    """Take away what this block has written to `out` if it breaks off: half a file looks like a whole one."""
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        yield
+    except BaseException:
+        out.unlink(missing_ok=True)
+        raise
+
+
+# @@ json_lines
+
+Decode = Callable[[bytes], Any]
+
+
+def write_lines(path: Path, out: Path, robot: str | None = None, channels: Sequence[str] = ()) -> int:
+    """Write the lines of a run's recordings, or of one recording, into the new file `out`, and return how many."""
+    count = 0
+    with whole_or_none(out), out.open("x", encoding="utf-8") as file:
+        for line in lines(recordings_of(path), channels, robot):
+            file.write(line + "\n")
+            count += 1
+        if not count:
+            about = f"of a robot '{robot}'" if robot else "that can be read"
+            raise ConfigError(f"{path}: has no message {about}; `aucamp replay info` says what is in it")
+    return count
+
+
+def lines(paths: Sequence[Path], channels: Sequence[str] = (), robot: str | None = None) -> Iterator[str]:
+    """The lines of some recordings, in the order of the files. `channels`: only these; `robot`: only what is about it.
+
+    Raises ConfigError for a channel that is in none of them, and for messages that do not decode.
+    """
+    seen: set[str] = set()
+    for path in paths:
+        for file in parts(path):
+            with suspecting(file):
+                yield from _of_file(file, channels, robot, seen)
+    missing = [channel for channel in channels if channel not in seen]
+    if missing:
+        raise ConfigError(f"no channel {missing[0]} in {paths[0]}; `aucamp replay info` lists them")
+
+
+def _of_file(file: Path, wanted: Sequence[str], robot: str | None, seen: set[str]) -> Iterator[str]:
+    """Up to the first tear, as everybody reads a recording."""
+    schemas: dict[int, Schema] = {}
+    channels: dict[int, Channel] = {}
+    decoders: dict[int, Decode] = {}
+    for record in records(file):
+        match record:
+            case Schema():
+                schemas[record.id] = record
+            case Channel():
+                channels[record.id] = record
+                decoders[record.id] = _decoder(record, schemas.get(record.schema_id))
+            case Message() if record.channel_id in channels:
+                topic = channels[record.channel_id].topic
+                seen.add(topic)
+                if (wanted and topic not in wanted) or not _about(robot, topic, file):
+                    continue
+                facts = {
+                    "file": file.name,
+                    "channel": topic,
+                    "log_time_ns": record.log_time,
+                    "publish_time_ns": record.publish_time,
+                    "sequence": record.sequence,
+                    "message": decoders[record.channel_id](record.data),
+                }
+                yield json.dumps(facts, default=_plain)
+            case Tear():
+                return
+
+
+def _about(robot: str | None, topic: str, file: Path) -> bool:
+    """Whether a channel is about a robot: its own name is in that of the channel, or of the black box."""
+    return robot is None or robot in topic.split("/") or file.name.split(".")[0] == robot
+
+
+def _decoder(channel: Channel, schema: Schema | None) -> Decode:
+    if channel.message_encoding == "msgpack":
+        return _msgpack
+    if channel.message_encoding == "json":
+        return json.loads
+    if channel.message_encoding == "protobuf" and schema is not None:
+        return partial(_protobuf, _kind(schema))
+    return _plain
+
+
+def _msgpack(data: bytes) -> Any:
+    message = msgspec.msgpack.decode(data)
+    if isinstance(message, dict):
+        for heard in message.get("heard", ()):  # of Inputs: what neighbours said
+            if isinstance(heard, dict) and isinstance(heard.get("payload"), bytes):
+                try:
+                    heard["payload"] = msgspec.msgpack.decode(heard["payload"])
+                except msgspec.DecodeError:
+                    continue  # what came was no message: its bytes are shown
+    return message
+
+
+def _kind(schema: Schema) -> Any:
+    """The class of a protobuf message, by nothing but the descriptor in the file."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(schema.data).file:
+        pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
+
+
+def _protobuf(kind: Any, data: bytes) -> Any:
+    return json_format.MessageToDict(kind.FromString(data), preserving_proto_field_name=True)
+
+
+def _plain(data: Any) -> Any:
+    if isinstance(data, bytes):
+        return {"base64": base64.b64encode(data).decode()}
+    raise TypeError(f"{type(data).__name__} is not in our messages")
+
+
+# @@ tables
+# The tables of a run for a spreadsheet: a file for each robot and kind, one head with units, one row for each event.
+#
+# Times are seconds since the first step of any robot of the run; the first column of each table has them.
+
+AXES = "xyz"
+STATE = (
+    *("time_s", "target", "iteration", "knows", "measurements", "valid_robots", "rule", "alpha"),
+    *(f"prior_{axis}_m" for axis in AXES),
+    "prior_sigma_m",
+    *(f"posterior_{axis}_m" for axis in AXES),
+    "posterior_sigma_m",
+    *("depth_m", "roll_deg", "pitch_deg", "pan_deg", "tilt_deg", "lens_position", "faults"),
+)
+TELEMETRY = (
+    *("time_s", "depth_m", "roll_deg", "pitch_deg"),
+    *(f"sensor{n}_depth_m" for n in range(1, 5)),
+    *(f"pwm{n}_us" for n in range(1, 9)),
+    *(f"servo{n}_us" for n in range(1, 5)),
+    *("battery_v", "armed", "failsafe_level", "loop_us"),
+)
+SIGHTINGS = (
+    *("time_s", "target", "frame", "sweep", "index", "lens_position", "found", "u_px", "v_px", "radius_px"),
+    *("radius_sigma_px", "width_px", "height_px", "clarity", "area_px", "score"),
+)
+SWEEPS = (
+    *("time_s", "target", "sweep", "peak_lens_position", "peak_sigma", "peak_half_width", "quality"),
+    *(f"measured_{axis}_m" for axis in AXES),
+    "rejected",
+)
+LOG = ("time_s", "level", "text")
+
+
+class Table(NamedTuple):
+    robot: str
+    kind: str  # state, telemetry, sightings, sweeps, log
+    head: Sequence[str]
+    rows: Iterator[Sequence[Any]]
+
+    @property
+    def file(self) -> str:
+        return f"{self.robot}_{self.kind}.csv"
+
+
+def write_tables(path: Path, out: Path, robot: str | None = None) -> list[Path]:
+    """Write the tables of a run, or of one recording, into the folder `out`; empty ones are left out.
+
+    Of a robot without a black box there is what it showed on the network. Raises ConfigError as `open_run` does.
+    """
+    with suspecting(path):
+        run = open_run(path)
+        names = wanted(robot, (timeline.robot for timeline in run.timelines), path)
+        out.mkdir(parents=True, exist_ok=True)
+        files = [_write(out / table.file, table) for name in names for table in tables(run, name)]
+    return [file for file in files if file is not None]
+
+
+def tables(run: Run, robot: str) -> Iterator[Table]:
+    """Every table of one robot."""
+    of = [timeline for timeline in run.timelines if timeline.robot == robot]
+    start_ns = run.start_ns or 0
+    yield Table(robot, "state", STATE, (row for timeline in of for row in _states(timeline)))
+    yield Table(robot, "telemetry", TELEMETRY, (row for box in of[0].boxes for row in _telemetry(box, start_ns)))
+    yield Table(robot, "sightings", SIGHTINGS, (row for box in of[0].boxes for row in _sightings(box, start_ns)))
+    yield Table(robot, "sweeps", SWEEPS, (row for timeline in of for row in _sweeps(timeline)))
+    yield Table(robot, "log", LOG, ((_s(t_s), line.level, _text(line.text)) for t_s, line in of[0].log))
+
+
+def _write(path: Path, table: Table) -> Path | None:
+    first = next(table.rows, None)
+    if first is None:
+        return None
+    with path.open("w", encoding="utf-8", newline="") as file:
+        out = csv.writer(file)
+        out.writerow(table.head)
+        out.writerow(first)
+        out.writerows(table.rows)
+    return path
+
+
+def _states(timeline: RobotTimeline) -> Iterator[Sequence[Any]]:
+    """The last state of each iteration."""
+    for belief in timeline.beliefs:
+        state = belief.state
+        yield (
+            *(_s(belief.t_s), state.target, state.t, state.knows, state.measurements, _valid(state), state.rule),
+            state.alpha,
+            *_place(state.prior_m),
+            state.prior_sigma_m,
+            *_place(state.posterior_m),
+            state.posterior_sigma_m,
+            *(state.depth_m, state.roll_deg, state.pitch_deg, state.pan_deg, state.tilt_deg, state.focus),
+            _text("; ".join(state.faults)),
+        )
+
+
+def _valid(state: State) -> int:
+    """How many robots see the target, as far as this one knows: itself and its neighbours."""
+    return (state.knows == "sees") + sum(other.valid for other in state.neighbours)
+
+
+def _telemetry(box: BlackBox, start_ns: int) -> Iterator[Sequence[Any]]:
+    for inputs in _inputs(box):
+        for t in inputs.telemetry:
+            yield _telemetry_row(t, start_ns)
+
+
+def _telemetry_row(t: Telemetry, start_ns: int) -> Sequence[Any]:
+    at_s = _s((t.t_ns - start_ns) * 1e-9)
+    tail = t.battery_v, int(t.armed), t.ladder, t.loop_us
+    return at_s, t.depth_m, t.roll_deg, t.pitch_deg, *t.sensor_depth_m, *t.pulses_us, *t.servos_us, *tail
+
+
+def _sightings(box: BlackBox, start_ns: int) -> Iterator[Sequence[Any]]:
+    for inputs in _inputs(box):
+        for sighting in inputs.sightings:
+            yield _sighting_row(sighting, start_ns)
+
+
+def _sighting_row(seen: Sighting, start_ns: int) -> Sequence[Any]:
+    sweep = (seen.sweep, seen.index) if seen.sweep else (None, None)
+    return (
+        *(_s((seen.t_ns - start_ns) * 1e-9), seen.target, seen.frame, *sweep, seen.focus, int(seen.found)),
+        *(seen.centre_px or (None, None)),
+        *(seen.radius_px, seen.radius_sigma_px),
+        *(seen.size_px or (None, None)),
+        *(seen.clarity, seen.area_px, seen.score),
+    )
+
+
+def _sweeps(timeline: RobotTimeline) -> Iterator[Sequence[Any]]:
+    for sweep in timeline.sweeps:
+        made = sweep.outcome
+        peak = (made.lens_position, made.sigma, made.width, made.quality) if made is not None else (None,) * 4
+        place = _place(made.x_m if made is not None else None)
+        yield _s(sweep.t_s), sweep.target, sweep.number, *peak, *place, made.rejected if made is not None else ""
+
+
+def _inputs(box: BlackBox) -> Iterable[Inputs]:
+    return (decode(step.inputs, Inputs, limit=STEP_BYTES) for step in box.steps())
+
+
+def _place(x_m: Sequence[float] | None) -> Sequence[float | None]:
+    return x_m if x_m is not None else (None, None, None)
+
+
+def _text(said: str) -> str:
+    """What a robot said, so that no spreadsheet takes it for a formula."""
+    return f"'{said}" if said.startswith(("=", "+", "-", "@")) else said
+
+
+def _s(t_s: float) -> str:
+    return f"{t_s:.6f}"
+
+
+# @@ film
+# The recorded pictures of one robot as a film: what its camera saw, where it saw the target, when, and with which
+# lens position.
+#
+# A film has a constant frame rate and a dive has none, so each picture stays until the next one's time has come. What
+# a sweep reads is a part of the picture; it is drawn where it belongs into the last whole one.
+
+FPS = 15.0  # a sweep has ten to fifteen pictures a second
+LONGEST_S = 60.0  # what a gap between two pictures takes in the film at most: a robot that was off
+GREEN, WHITE, BLACK = (80, 220, 60), (255, 255, 255), (0, 0, 0)  # blue green red
+
+Colours = NDArray[np.uint8]
+
+
+class Shot(NamedTuple):
+    """One picture of the film."""
+
+    t_ns: int
+    image: Colours
+    text: str
+
+
+def write_film(path: Path, out: Path, robot: str | None = None) -> int:
+    """Write the film and return its length in frames; `out` ends in .mp4.
+
+    Black boxes have every frame, with what vision found; where there is none, previews are taken from the fleet file.
+    Raises ConfigError where there are no pictures, or those of several robots and none is named.
+    """
+    boxes: list[Path] = []
+    fleets: list[Path] = []
+    for file in recordings_of(path):
+        kind = info(parts(file)[0]).run.get("kind")
+        (boxes if kind == "black box" else fleets).append(file)
+    opened = [open_box(file) for file in boxes]
+    there = {box.robot for box in opened} or {name for file in fleets for name in _previewed(file)}
+    names = wanted(robot, there, path)
+    if not names:
+        raise ConfigError(f"{path}: has no pictures; agents record them, and fleets with previews")
+    if len(names) > 1:
+        raise ConfigError(f"{path}: has pictures of {', '.join(names)}; say with --robot of which to make a film")
+    if opened:
+        of = sorted((box for box in opened if box.robot == names[0]), key=lambda box: box.incarnation)
+        shots = (shot for box in of for shot in _seen(box))
+    else:
+        shots = (shot for file in fleets for shot in _previews(file, names[0]))
+    with whole_or_none(out), suspecting(path):
+        count = _film(shots, out, names[0])
+        if count:
+            return count
+        raise ConfigError(f"{path}: has no pictures of {names[0]}; agents record them, and fleets with previews")
+
+
+def _film(shots: Iterator[Shot], out: Path, robot: str) -> int:
+    """Each shot for as many frames as its time takes."""
+    writer: cv2.VideoWriter | None = None
+    size, start_ns, due, count = (0, 0), 0, 0.0, 0
+    before: Shot | None = None
+    try:
+        for shot in shots:
+            if writer is None or before is None:
+                start_ns, size = shot.t_ns, (shot.image.shape[1] // 2 * 2, shot.image.shape[0] // 2 * 2)
+                writer = cv2.VideoWriter(str(out), cv2.VideoWriter.fourcc(*"mp4v"), FPS, size)
+                if not writer.isOpened():
+                    raise ConfigError(f"{out}: a film cannot be written there; give --out another place")
+            else:
+                due += min(max((shot.t_ns - before.t_ns) * 1e-9, 0.0), LONGEST_S) * FPS
+                count += _show(writer, before, round(due) - count, (before.t_ns - start_ns) * 1e-9, robot, size)
+            before = shot
+        if writer is not None and before is not None:
+            count += _show(writer, before, 1, (before.t_ns - start_ns) * 1e-9, robot, size)
+    finally:
+        if writer is not None:
+            writer.release()
+    return count
+
+
+def _show(writer: cv2.VideoWriter, shot: Shot, times: int, t_s: float, robot: str, size: tuple[int, int]) -> int:
+    if times <= 0:
+        return 0
+    image = shot.image if shot.image.shape[1::-1] == size else np.asarray(cv2.resize(shot.image, size), np.uint8)
+    image = image.copy()
+    text = f"{robot}  {t_s:6.2f} s  {shot.text}"
+    for colour, at in ((BLACK, (9, 21)), (WHITE, (8, 20))):  # a shadow: legible on any picture
+        cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
+    for _ in range(times):
+        writer.write(image)
+    return times
+
+
+def _seen(box: BlackBox) -> Iterator[Shot]:
+    """The frames of a black box with the outlines that vision found; a frame of several targets comes once."""
+    camera = box.calibration.camera
+    if camera.width_px * camera.height_px > MAX_PIXELS:  # before memory is taken for it
+        raise ConfigError(f"{box.path}: its camera has {camera.width_px} x {camera.height_px} pixels, which none has")
+    canvas = np.zeros((camera.height_px, camera.width_px, 3), np.uint8)
+    frames, last, drawn = Frames(), -1, canvas
+    waiting: Shot | None = None
+    for record in read(box.path):
+        frames.take(record.channel, record.sequence, record.data)
+        if record.channel != VISION.name:
+            continue
+        sighting, picture = decode(record.data, Sighting), frames.at(record.sequence)
+        if picture is None:
+            continue
+        if record.sequence != last:
+            if waiting is not None:
+                yield waiting
+            _paste(canvas, picture)
+            drawn, last = canvas.copy(), record.sequence
+        _outline(drawn, sighting, camera.f_px)
+        waiting = Shot(picture.t_ns, drawn, _caption(sighting))
+    if waiting is not None:
+        yield waiting
+
+
+def _paste(canvas: Colours, picture: Picture) -> None:
+    image, (x, y, _, _) = pixels(picture), picture.roi
+    high, wide = min(image.shape[0], canvas.shape[0] - y), min(image.shape[1], canvas.shape[1] - x)
+    if min(x, y) < 0 or min(high, wide) <= 0:
+        raise ConfigError(f"frame {picture.frame}: lies outside its camera's picture; take another copy of the file")
+    canvas[y : y + high, x : x + wide] = image[:high, :wide]
+
+
+def _outline(image: Colours, seen: Sighting, f_px: float) -> None:
+    """A circle of the ball's angular radius, or the box; off the axis the outline is nearly one."""
+    if not seen.found or seen.centre_px is None:
+        return
+    u, v = seen.centre_px
+    if seen.radius_px is not None:
+        radius = f_px * math.tan(seen.radius_px / f_px)
+        cv2.circle(image, (round(u), round(v)), round(radius), GREEN, 1, cv2.LINE_AA)
+    elif seen.size_px is not None:
+        half_w, half_h = seen.size_px[0] / 2, seen.size_px[1] / 2
+        cv2.rectangle(image, (round(u - half_w), round(v - half_h)), (round(u + half_w), round(v + half_h)), GREEN, 1)
+
+
+def _caption(seen: Sighting) -> str:
+    lens = f"lens {seen.focus}" if seen.focus is not None else "lens unknown"
+    sweep = f"  sweep {seen.sweep}" if seen.sweep else ""
+    return f"{lens}{sweep}  {seen.target}{'' if seen.found else ': not seen'}"
+
+
+def _previewed(path: Path) -> set[str]:
+    found = (network_topic(name) for file in parts(path) for name in info(file).channels)
+    return {row[1]["robot"] for row in found if row is not None and row[0] is topics.IMAGE}
+
+
+def _previews(path: Path, robot: str) -> Iterator[Shot]:
+    for record in read(path):
+        row = network_topic(record.channel)
+        if row is None or row[0] is not topics.IMAGE or row[1]["robot"] != robot:
+            continue
+        try:
+            shown = decode(record.data, Image, row[0].limit, READABLE)
+        except Refusal:
+            continue
+        picture = Picture(t_ns=shown.t_ns, frame=shown.frame, roi=(0, 0, 0, 0), format="jpeg", data=shown.jpeg)
+        lens = f"lens {shown.focus}" if shown.focus is not None else "lens unknown"
+        yield Shot(shown.t_ns, pixels(picture), f"{lens}  preview")

@@ -1,1 +1,0 @@
-"""Recordings for other programs: spreadsheets, film players, scripts."""

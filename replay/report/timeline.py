@@ -1,0 +1,546 @@
+"""The timeline of a run as its fleet file tells it: what robots show on the network, for those without a black box.
+
+It has what each robot believed, whom it says it heard, its depth and tilt. It has no frames, no sweeps, no pressures
+and no pulses, and not what a robot really took in: that is in black boxes alone.
+"""
+
+from __future__ import annotations
+
+import itertools
+import json
+from collections import Counter, defaultdict
+from collections.abc import Container, Iterable, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from msgspec import UNSET
+from numpy.typing import NDArray
+
+from agent.capabilities.survey.coverage_map import CoverageMap, grid_of
+from agent.core.capability_messages import Frame, holds
+from agent.core.codec import READABLE, Refusal, decode
+from agent.core.config import ConfigError, Fleet
+from agent.core.messages import Answer, Estimate, LogLine, State, Symmetric, Vector
+from agent.core.step_io import Inputs, Outputs, Sighting, SweepOutcome
+from agent.robot.fleet_reader import load_fleet
+from replay.check.check import Link, links
+from replay.check.reexecute import (
+    STEP_BYTES,
+    BlackBox,
+    attached_toml,
+    black_boxes,
+    head,
+    open_boxes,
+    recordings,
+    schema_of,
+)
+from replay.files.channels import CLOCK, STEP_OUT, network_topic
+from replay.files.info import Moment, in_dive, moment
+from replay.files.log import parts, read
+
+# @@ robot_timeline
+# What a run's black boxes tell, in the shape in which figures need it: series over time, one timeline for each robot
+# and target.
+#
+# Times are seconds since the first step of any robot of the run, by the robots' own clocks.
+
+Array = NDArray[np.float64]
+
+
+class LoggedSweep(NamedTuple):
+    """One sweep of the lens as the log has it: clarity at each position, and what the kernel made of it."""
+
+    number: int
+    target: str
+    t_s: float
+    lens_positions: list[int]
+    clarity: list[float]
+    outcome: SweepOutcome | None  # None: the recording ends before it, or is older than outcomes in the log
+
+    @property
+    def peak(self) -> float | None:
+        """Lens position of the peak that the kernel found."""
+        return self.outcome.lens_position if self.outcome is not None else None
+
+
+class Belief(NamedTuple):
+    """What a robot held after one iteration."""
+
+    t: int
+    t_s: float
+    state: State
+    cov_m2: Symmetric | None  # of the posterior; only what was said to neighbours has it
+
+
+class Posture(NamedTuple):
+    """Telemetry as arrays over n frames."""
+
+    t_s: Array  # (n,)
+    depth_m: Array  # (n,)
+    roll_deg: Array  # (n,)
+    pitch_deg: Array  # (n,)
+    sensors_m: Array  # (n, 4), depth of each pressure sensor
+    pulses_us: Array  # (n, 8)
+
+
+class RobotTimeline(NamedTuple):
+    """One robot and one of its targets, over all of the robot's starts in the run."""
+
+    robot: str
+    target: str
+    label: str  # what figures call it
+    boxes: tuple[BlackBox, ...]  # none: known by what the robot showed on the network
+    starts_s: tuple[float, ...]
+    ends_s: float
+    states: tuple[tuple[float, State], ...]  # every one that was shown
+    beliefs: tuple[Belief, ...]  # the last of each iteration
+    sweeps: tuple[LoggedSweep, ...]
+    posture: Posture
+    set_depth_m: tuple[tuple[float, float], ...]  # (t_s, depth) where the set-point changed
+    log: tuple[tuple[float, LogLine], ...]
+    answers: tuple[tuple[float, Answer], ...]  # to what people ordered
+
+    @property
+    def estimate(self) -> tuple[Vector, Symmetric | None] | None:
+        """The last posterior and its covariance."""
+        held = [belief for belief in self.beliefs if belief.state.posterior_m is not None]
+        return (held[-1].state.posterior_m, held[-1].cov_m2) if held and held[-1].state.posterior_m else None
+
+    @property
+    def priors(self) -> list[tuple[int, Vector]]:
+        """(iteration, x̂) of each measurement that went into an iteration."""
+        return [(t, state.prior_m) for t, state in self.measured if state.prior_m is not None]
+
+    @property
+    def measured(self) -> list[tuple[int, State]]:
+        """(iteration, state that shows it) of each measurement that went into an iteration."""
+        found: list[tuple[int, State]] = []
+        before: State | None = None
+        for _, state in self.states:
+            if before is None or state.incarnation != before.incarnation:
+                used = 0  # measurements that went into iterations until then
+            elif state.t != before.t:
+                # What was measured before the iteration counts, not what came between it and this state.
+                measured = before if before.measurements > used else state
+                if state.knows == "sees" and measured.measurements > used and measured.prior_m is not None:
+                    found.append((state.t, measured))
+                    used = measured.measurements
+            before = state
+        return found
+
+
+def first_ns(boxes: Sequence[BlackBox]) -> int | None:
+    """Time of the first step of any robot; None without a step."""
+    return min((step.now_ns for box in boxes for step in itertools.islice(box.steps(), 1)), default=None)
+
+
+def timelines(boxes: Sequence[BlackBox]) -> list[RobotTimeline]:
+    """The robots of one run, by name; of each its targets. Raises Refusal for steps of another version."""
+    start_ns = first_ns(boxes) or 0
+    robots = sorted({box.robot for box in boxes})
+    return [
+        timeline for name in robots for timeline in _timelines([box for box in boxes if box.robot == name], start_ns)
+    ]
+
+
+def _timelines(boxes: Sequence[BlackBox], start_ns: int) -> list[RobotTimeline]:
+    collected = _Collected()
+    starts = []
+    t_s = 0.0
+    for box in boxes:
+        for step in box.steps():
+            t_s = (step.now_ns - start_ns) * 1e-9
+            if step.number == 0:
+                starts.append(t_s)
+            inputs = decode(step.inputs, Inputs, limit=STEP_BYTES)
+            collected.take_in(inputs, start_ns)
+            if step.outputs is not None:
+                collected.take_out(decode(step.outputs, Outputs, limit=STEP_BYTES), t_s)
+        collected.end_box()
+    posture = collected.posture()
+    return [
+        RobotTimeline(
+            robot=boxes[0].robot,
+            target=target,
+            label=label(boxes[0].robot, target, boxes[0].fleet),
+            boxes=tuple(boxes),
+            starts_s=tuple(starts),
+            ends_s=t_s,
+            states=tuple(account.states),
+            beliefs=tuple(account.beliefs),
+            sweeps=tuple(sweep for sweep in collected.sweeps if sweep.target == target),
+            posture=posture,
+            set_depth_m=tuple(collected.set_depth_m),
+            log=tuple(collected.log),
+            answers=tuple(collected.answers),
+        )
+        for target, account in collected.accounts(boxes[0].fleet).items()
+    ]
+
+
+def label(robot: str, target: str, fleet: Fleet) -> str:
+    """The robot's name, and the target's where there are several."""
+    return robot if len(fleet.target) == 1 else f"{robot}, {target}"
+
+
+class Account:
+    """What a robot shows of one target, as it comes."""
+
+    def __init__(self) -> None:
+        self.states: list[tuple[float, State]] = []
+        self.beliefs: list[Belief] = []
+        self._said: Estimate | None = None
+
+    def say(self, estimate: Estimate) -> None:
+        self._said = estimate
+
+    def show(self, state: State, t_s: float) -> None:
+        self.states.append((t_s, state))
+        cov_m2 = self._said.cov_m2 if self._said is not None and self._said.x_m == state.posterior_m else None
+        if self.beliefs and self.beliefs[-1].t == state.t:
+            cov_m2 = cov_m2 or self.beliefs[-1].cov_m2
+            self.beliefs[-1] = Belief(state.t, self.beliefs[-1].t_s, state, cov_m2)
+        else:
+            self.beliefs.append(Belief(state.t, t_s, state, cov_m2))
+
+
+class _Collected:
+    """What one pass over a robot's steps leaves."""
+
+    def __init__(self) -> None:
+        self.sweeps: list[LoggedSweep] = []
+        self.set_depth_m: list[tuple[float, float]] = []
+        self.log: list[tuple[float, LogLine]] = []
+        self.answers: list[tuple[float, Answer]] = []
+        self._telemetry: list[tuple[float, ...]] = []
+        self._swept: dict[tuple[str, int], list[tuple[float, Sighting]]] = {}  # by target and number, since the start
+        self._outcomes: dict[tuple[str, int], SweepOutcome] = {}
+        self._accounts: defaultdict[str, Account] = defaultdict(Account)
+
+    def accounts(self, fleet: Fleet) -> dict[str, Account]:
+        """The accounts by target, in the order of the fleet file; an empty one where nothing was shown."""
+        return {target: self._accounts[target] for target in fleet.target}
+
+    def take_in(self, inputs: Inputs, start_ns: int) -> None:
+        for t in inputs.telemetry:
+            t_s = (t.t_ns - start_ns) * 1e-9
+            self._telemetry.append((t_s, t.depth_m, t.roll_deg, t.pitch_deg, *t.sensor_depth_m, *t.pulses_us))
+        for sighting in inputs.sightings:
+            if sighting.sweep:
+                frames = self._swept.setdefault((sighting.target, sighting.sweep), [])
+                frames.append(((sighting.t_ns - start_ns) * 1e-9, sighting))
+
+    def take_out(self, outputs: Outputs, t_s: float) -> None:
+        self.log += [(t_s, line) for line in outputs.log]
+        self.answers += [(t_s, answer) for answer in outputs.answers or ()]
+        if not self.set_depth_m or self.set_depth_m[-1][1] != outputs.set_point.depth_m:
+            self.set_depth_m.append((t_s, outputs.set_point.depth_m))
+        for estimate in outputs.says:
+            self._accounts[estimate.target].say(estimate)
+        if outputs.state is not None:
+            self._accounts[outputs.state.target].show(outputs.state, t_s)
+        if outputs.outcome is not UNSET:
+            self._outcomes[outputs.outcome.target, outputs.outcome.sweep] = outputs.outcome
+
+    def end_box(self) -> None:
+        """Call it at the end of a recording: the next start of the robot numbers its sweeps anew."""
+        for (target, number), frames in self._swept.items():
+            good = [(t_s, f.focus, f.clarity) for t_s, f in frames if f.focus is not None and f.clarity is not None]
+            if good:
+                times_s, lens_positions, clarity = (list(column) for column in zip(*good, strict=True))
+                outcome = self._outcomes.get((target, number))
+                self.sweeps.append(LoggedSweep(number, target, times_s[0], lens_positions, clarity, outcome))
+        self._swept, self._outcomes = {}, {}
+
+    def posture(self) -> Posture:
+        rows = np.array(self._telemetry, float).reshape(-1, 16)
+        return Posture(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], rows[:, 4:8], rows[:, 8:16])
+
+
+# @@ fleet_timeline
+
+
+class FleetFile(NamedTuple):
+    path: Path
+    fleet: Fleet
+    run: dict[str, str]  # the header
+    complete: bool  # finished by its writer, nothing torn
+
+
+class Overheard(NamedTuple):
+    timelines: list[RobotTimeline]
+    links: list[Link]  # as the robots count what they heard, of what the recorder saw
+    start_ns: int | None  # since when times are counted; None: nobody showed anything
+
+
+def open_fleet_file(path: Path) -> FleetFile:
+    """Read the header. Raises ConfigError if it is no fleet file, or one of another version."""
+    heads = [head(file) for file in parts(path)]
+    run, text = heads[0].run, heads[0].attachments.get("fleet.toml")
+    if run.get("kind") != "fleet" or text is None:
+        raise ConfigError(f"{path}: is no recording of a fleet; give what `aucamp record` wrote")
+    schema_of(path, run)
+    fleet = attached_toml(path, "fleet.toml", heads[0].attachments, Fleet)
+    return FleetFile(path, fleet, run, all(each.complete for each in heads))
+
+
+def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str] = ()) -> Overheard:
+    """The robots of a fleet file by name, those in `known` left out. Times are by the robots' own clocks, since
+    `start_ns`, or since the first state of any of them. What does not decode is passed over.
+    """
+    robots = {name: _Robot() for name in file.fleet.robot}
+    said: dict[tuple[str, str], set[tuple[int, int]]] = {}
+    for record in read(file.path):
+        row = network_topic(record.channel)
+        if row is None:
+            continue
+        topic, chunks = row
+        try:
+            message = decode(record.data, topic.message, topic.limit, READABLE)
+        except Refusal:
+            continue
+        robot = robots.get(chunks[topic.writer])
+        if robot is None:
+            continue
+        if isinstance(message, Estimate):
+            said.setdefault((message.src, message.dst), set()).add((message.incarnation, message.seq))
+            robot.accounts[message.target].say(message)
+        elif isinstance(message, State):
+            start_ns = message.sent_ns if start_ns is None else start_ns
+            robot.show(message, (message.sent_ns - start_ns) * 1e-9)
+        elif isinstance(message, LogLine) and start_ns is not None:
+            robot.log.append(((message.sent_ns - start_ns) * 1e-9, message))
+        elif isinstance(message, Answer) and start_ns is not None:
+            robot.answers.append(((message.sent_ns - start_ns) * 1e-9, message))
+    found = [
+        timeline
+        for name, robot in robots.items()
+        if name not in known
+        for timeline in robot.timelines(name, file.fleet)
+    ]
+    heard = {(src, dst): n for dst, robot in robots.items() for src, n in robot.heard().items()}
+    pairs = sorted({*said, *(pair for pair, n in heard.items() if n)})
+    links = [Link(*pair, len(said.get(pair, ())), heard.get(pair, 0), 0, 0) for pair in pairs]
+    return Overheard(found, links, start_ns)
+
+
+class _Robot:
+    """What one robot showed."""
+
+    def __init__(self) -> None:
+        self.accounts: defaultdict[str, Account] = defaultdict(Account)
+        self.log: list[tuple[float, LogLine]] = []
+        self.answers: list[tuple[float, Answer]] = []
+        self._newest: dict[int, State] = {}  # by incarnation
+        self._starts_s: list[float] = []
+        self._postures: list[tuple[float, float, float, float]] = []  # t_s, depth, roll, pitch
+
+    def show(self, state: State, t_s: float) -> None:
+        if state.incarnation not in self._newest:
+            self._starts_s.append(t_s)
+        self._newest[state.incarnation] = state
+        self.accounts[state.target].show(state, t_s)
+        if state.depth_m is not None and state.roll_deg is not None and state.pitch_deg is not None:
+            self._postures.append((t_s, state.depth_m, state.roll_deg, state.pitch_deg))
+
+    def heard(self) -> Counter[str]:
+        """Messages from each neighbour, by this robot's own count, over all of its starts."""
+        total: Counter[str] = Counter()
+        for state in self._newest.values():
+            total.update({neighbour.robot: neighbour.heard for neighbour in state.neighbours})
+        return total
+
+    def timelines(self, name: str, fleet: Fleet) -> list[RobotTimeline]:
+        """One for each target; none of a robot that was never up."""
+        if not self._newest:
+            return []
+        postures = np.array(self._postures, float).reshape(-1, 4)
+        unknown = np.full((len(postures), 12), np.nan)
+        t_s, depth_m, roll_deg, pitch_deg = postures.T
+        posture = Posture(t_s, depth_m, roll_deg, pitch_deg, unknown[:, :4], unknown[:, 4:])
+        ends_s = max(account.states[-1][0] for account in self.accounts.values() if account.states)
+        return [
+            RobotTimeline(
+                robot=name,
+                target=target,
+                label=label(name, target, fleet),
+                boxes=(),
+                starts_s=tuple(self._starts_s),
+                ends_s=ends_s,
+                states=tuple(self.accounts[target].states),
+                beliefs=tuple(self.accounts[target].beliefs),
+                sweeps=(),
+                posture=posture,
+                set_depth_m=(),
+                log=tuple(self.log),
+                answers=tuple(self.answers),
+            )
+            for target in fleet.target
+        ]
+
+
+# @@ run
+# What there is of one run, gathered for its report: black boxes, the fleet file, and what a twin knows.
+
+
+class Run(NamedTuple):
+    path: Path
+    fleet: Fleet
+    boxes: list[BlackBox]
+    fleet_file: FleetFile | None  # only where some robot left no black box
+    timelines: list[RobotTimeline]  # by robot and target
+    links: list[Link]
+    summary: dict[str, Any] | None  # what the demo found
+    truths_m: dict[str, Vector]  # by target, where a twin knows it
+    start_ns: int | None  # since when times are counted: the first step of any robot
+    clock: list[Moment]  # of a dive in the twin, how fast its clock went
+
+    @property
+    def robots(self) -> list[RobotTimeline]:
+        """One timeline for each robot: what is not about a target is the same in all."""
+        return list({timeline.robot: timeline for timeline in reversed(self.timelines)}.values())[::-1]
+
+    def about(self, target: str) -> list[RobotTimeline]:
+        return [timeline for timeline in self.timelines if timeline.target == target]
+
+
+def open_run(path: Path) -> Run:
+    """A run's folder, or one recording of either kind. What robots without a black box said comes from the fleet file.
+
+    Raises ConfigError if there is nothing to show, or if a recording cannot be read by this version.
+    """
+    summary = _summary(path)
+    boxes, fleet_path = _recordings(path)
+    if not boxes and summary is None and fleet_path is None:
+        raise ConfigError(f"{path}: no recording and no summary.json; give the folder of a run, or a recording")
+    start_ns = first_ns(boxes)
+    drawn, heard, file = timelines(boxes), links(boxes), None
+    known = {box.robot for box in boxes}
+    if fleet_path is not None and (not boxes or known != set(boxes[0].fleet.robot)):
+        file = open_fleet_file(fleet_path)
+        more = overheard(file, start_ns, known)
+        start_ns = more.start_ns
+        drawn = sorted([*drawn, *more.timelines], key=lambda timeline: timeline.robot)
+        heard = _joined(heard, more, known)
+    fleet = boxes[0].fleet if boxes else file.fleet if file else load_fleet(path / "fleet.toml")
+    clock = _clock([*(box.path for box in boxes), *([file.path] if file else [])])
+    return Run(path, fleet, boxes, file, drawn, heard, summary, _truths(summary, fleet), start_ns, clock)
+
+
+def _recordings(path: Path) -> tuple[list[BlackBox], Path | None]:
+    if path.is_dir():
+        return open_boxes(black_boxes(path)), next(iter(recordings(path, "fleet")), None)
+    if head(parts(path)[0]).run.get("kind") == "fleet":
+        return [], path
+    return open_boxes([path]), None
+
+
+def _clock(paths: Iterable[Path]) -> list[Moment]:
+    """The notes of one clock in all these recordings."""
+    notes = (
+        moment(record.log_time_ns, record.data)
+        for path in paths
+        for record in read(path)
+        if record.channel == CLOCK.name
+    )
+    return in_dive(each for each in notes if each is not None)
+
+
+def _joined(heard: Sequence[Link], more: Overheard, known: set[str]) -> list[Link]:
+    """Links by black boxes where both ends left one, by the fleet file where not."""
+    between = [link for link in heard if link.src in known and link.dst in known]
+    return sorted([*between, *(link for link in more.links if not {link.src, link.dst} <= known)])
+
+
+def _summary(run: Path) -> dict[str, Any] | None:
+    """What the demo found; None for a run without one."""
+    path = run / "summary.json"
+    if not path.exists():
+        return None
+    try:
+        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        raise ConfigError(f"{run}: no usable summary.json; repair it, or remove it to do without the truth") from None
+    return summary
+
+
+def _truths(summary: dict[str, Any] | None, fleet: Fleet) -> dict[str, Vector]:
+    if summary is None:
+        return {}
+    first: dict[str, dict[str, Any]] = {next(iter(fleet.target)): {"truth_m": summary["truth_m"]}}  # of older summaries
+    resting = {target: about for target, about in summary.get("targets", first).items() if not about.get("swims")}
+    return {target: tuple(about["truth_m"]) for target, about in resting.items()}
+
+
+# @@ surveyed
+# What the robots of a survey said of it, from their black boxes: how much each knew when, and what they measured.
+
+SURVEYED = "At the end. Maps are equal where these digits are."  # about what `survey_rows` says
+
+
+class Known(NamedTuple):
+    """What one robot said once."""
+
+    t_ns: int
+    share: float  # of the wanted cells that its map knows
+    held: int  # keyframes
+    digest: str
+
+
+class Surveyed(NamedTuple):
+    known: dict[str, list[Known]]  # by robot
+    frames: list[tuple[int, Frame]]  # of robots that left a black box, by when they were first told
+    paths: dict[str, list[tuple[float, float]]]  # where each believed to be, m, world frame; empty: it is moored
+    all: CoverageMap  # of all frames
+
+
+def surveyed(fleet: Fleet, boxes: Sequence[BlackBox]) -> Surveyed | None:
+    """None: of a fleet without [coverage], or without black boxes."""
+    if fleet.coverage is None or not boxes:
+        return None
+    known: dict[str, list[Known]] = {box.robot: [] for box in boxes}
+    paths: dict[str, list[tuple[float, float]]] = {box.robot: [] for box in boxes}
+    frames: dict[tuple[str, int, int], tuple[int, Frame]] = {}
+    for box in boxes:
+        for record in read(box.path):
+            if record.channel != STEP_OUT.name:
+                continue
+            outputs = decode(record.data, Outputs, STEP_BYTES)
+            for claim in (outputs.claims or ())[:1]:
+                _, held = holds(claim)
+                known[box.robot].append(Known(claim.sent_ns, claim.share, held, claim.digest))
+            for said in outputs.keyframes or ():
+                frame = said.frame
+                if frame.origin == box.robot:
+                    frames.setdefault((frame.origin, frame.incarnation, frame.number), (said.sent_ns, frame))
+            at = None if outputs.state is None else outputs.state.whereabouts
+            if at:
+                paths[box.robot].append((at.x_m, at.y_m))
+    together = CoverageMap(grid_of(fleet))
+    told = sorted(frames.values(), key=lambda each: each[0])
+    for _, frame in told:
+        together.add(frame)
+    return Surveyed(known, told, paths, together)
+
+
+def floor_known(found: CoverageMap) -> list[int]:
+    """Each column of cells from above, x fastest: 0 nothing is known of its floor, 1 something, 2 all that is asked
+    for, 3 a thing stands above it."""
+    nx, ny, _ = found.grid.shape
+    have = (found.cells.get(number, 0) for number in range(nx * ny))
+    known = [2 if cell >= found.grid.goal else 1 if cell > 0 else 0 for cell in have]
+    for number in found.solid():
+        known[number % (nx * ny)] = 3
+    return known
+
+
+def survey_rows(found: Surveyed) -> list[list[str]]:
+    """A row for each robot, at the end, under a head."""
+    rows = [["robot", "keyframes of its own", "held", "knows", "map"]]
+    for name, each in found.known.items():
+        own = sum(frame.origin == name for _, frame in found.frames)
+        last = each[-1] if each else None
+        told = ["-", "-", "-"] if last is None else [str(last.held), f"{100 * last.share:.1f} %", last.digest]
+        rows.append([name, str(own), *told])
+    return rows

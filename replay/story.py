@@ -1,0 +1,279 @@
+"""What happened in a dive, as one recording has it: for a program as they are, for a person story/words.py tells them.
+
+Of a black box they are about its robot, of a fleet file about all whom the recorder heard. Seconds count from the first
+state that anybody showed.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import textwrap
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from datetime import UTC, datetime
+from itertools import combinations
+from pathlib import Path
+from typing import Any
+
+from agent.core import topics
+from agent.core.codec import READABLE, Refusal, decode
+from agent.core.config import ConfigError
+from agent.core.messages import State, Vector
+from agent.core.status import fault_kind
+from agent.core.step_io import Outputs
+from replay.check.reexecute import STEP_BYTES
+from replay.files.channels import STEP_OUT, network_topic
+from replay.files.info import Info, as_json, describe, info
+from replay.files.log import read
+from replay.files.mcap_file import parts
+from replay.files.mcap_walk import suspecting
+
+MOST = 12  # losses or faults of one robot: more are counted, not told one by one
+
+
+class RobotFacts:
+    """One robot and one target, from the states that the robot shows."""
+
+    def __init__(self) -> None:
+        self.starts_s: list[float] = []
+        self.told_s: float | None = None
+        self.told_by: list[str] = []
+        self.seen_s: float | None = None
+        self.seen_t: int | None = None
+        self.losses: list[dict[str, float | None]] = []
+        self.faults: dict[str, dict[str, Any]] = {}
+        self._before: State | None = None
+
+    def show(self, state: State, t_s: float) -> None:
+        """The next state of this robot about this target."""
+        before, self._before = self._before, state
+        if before is None or before.incarnation != state.incarnation:
+            self.starts_s.append(t_s)
+            before = None
+        if state.knows == "told" and self.told_s is None and self.seen_s is None:
+            self.told_s, self.told_by = t_s, _tellers(state)
+        if state.knows == "sees" and self.seen_s is None:
+            self.seen_s, self.seen_t = t_s, state.acquired_t
+        if before is not None and before.knows == "sees" and state.knows != "sees":
+            self.losses.append({"from_s": t_s, "until_s": None})
+        if state.knows == "sees" and self.losses and self.losses[-1]["until_s"] is None:
+            self.losses[-1]["until_s"] = t_s
+        for fault in state.faults:
+            about = self.faults.setdefault(fault_kind(fault), {"text": fault, "from_s": t_s})
+            about["until_s"] = t_s
+
+    def as_json(self) -> dict[str, Any]:
+        last = self._before
+        assert last is not None  # there is no robot without a state
+        return {
+            "starts_s": self.starts_s,
+            "told_s": self.told_s,
+            "told_by": self.told_by,
+            "seen_s": self.seen_s,
+            "seen_iteration": self.seen_t,
+            "losses": self.losses,
+            "faults": list(self.faults.values()),
+            "ended": last.mode,
+            "knows": last.knows,
+            "iteration": last.t,
+            "measurements": last.measurements,
+            "estimate_m": last.posterior_m,
+            "sigma_m": last.posterior_sigma_m,
+            "heard": {other.robot: {"messages": other.heard, "lost": other.gaps} for other in last.neighbours},
+            "refused": sum(last.refused.values()),
+            "protocol_says": last.explain.status if last.explain is not None else "",
+        }
+
+
+def story_facts(path: Path) -> dict[str, Any] | None:
+    """The facts of one recording, all of its parts; None where it has no state in it."""
+    robots: dict[tuple[str, str], RobotFacts] = {}
+    first_ns, last_ns = None, 0
+    for state in _states(path):
+        if first_ns is None:
+            first_ns = state.sent_ns
+        last_ns = max(last_ns, state.sent_ns)
+        robots.setdefault((state.robot, state.target), RobotFacts()).show(state, (state.sent_ns - first_ns) * 1e-9)
+    if first_ns is None:
+        return None
+    targets: dict[str, dict[str, Any]] = {}
+    for (robot, target), facts in sorted(robots.items()):
+        targets.setdefault(target, {"robots": {}})["robots"][robot] = facts.as_json()
+    for about in targets.values():
+        places = {robot: facts["estimate_m"] for robot, facts in about["robots"].items() if facts["estimate_m"]}
+        about["apart_m"] = _apart_m(places)
+    return {"first_ns": first_ns, "lasts_s": (last_ns - first_ns) * 1e-9, "targets": targets}
+
+
+def _states(path: Path) -> Iterator[State]:
+    """Every state in a black box or a fleet file; what does not decode is passed over."""
+    for record in read(path):
+        row = network_topic(record.channel)
+        try:
+            if record.channel == STEP_OUT.name:
+                state = decode(record.data, Outputs, STEP_BYTES, READABLE).state
+            elif row is not None and row[0] is topics.STATE:
+                state = decode(record.data, State, row[0].limit, READABLE)
+                state = state if state.robot == row[1]["robot"] else None
+            else:
+                continue
+        except Refusal:
+            continue
+        if state is not None:
+            yield state
+
+
+def _tellers(state: State) -> list[str]:
+    """Whose words the robot's knowledge is made of."""
+    weights = state.explain.weights if state.explain is not None else {}
+    named = [robot for robot, weight in weights.items() if weight > 0.0 and robot != state.robot]
+    return sorted(named or [other.robot for other in state.neighbours if other.used])
+
+
+def _apart_m(places: dict[str, Vector]) -> float | None:
+    """The largest distance between what two robots believe; None of fewer than two."""
+    return max((math.dist(a, b) for a, b in combinations(places.values(), 2)), default=None)
+
+
+# @@ words
+# The facts of a dive in one paragraph of plain sentences.
+
+MODES = {"failed": "a fault ended it", "degraded": "something was wrong with it at the end"}
+
+
+def story(facts: Mapping[str, Any], about: Info) -> str:
+    """One paragraph. `about`: the file's own account of itself."""
+    return " ".join(_sentences(facts, about))
+
+
+def _sentences(facts: Mapping[str, Any], about: Info) -> Iterator[str]:
+    targets = facts["targets"]
+    robots = sorted({robot for target in targets.values() for robot in target["robots"]})
+    began = datetime.fromtimestamp(facts["first_ns"] * 1e-9, UTC)
+    who = f"{'Robot' if len(robots) == 1 else 'Robots'} {listed(robots)} of the fleet {about.run.get('fleet', '?')}"
+    yield f"{who} dived for {facts['lasts_s']:.1f} s from {began:%Y-%m-%d %H:%M:%S} UTC."
+    for target, of in targets.items():
+        for robot, one in of["robots"].items():
+            yield from _robot(robot, target, one)
+        if of["apart_m"] is not None:
+            places = [one["sigma_m"] for one in of["robots"].values() if one["estimate_m"] and one["sigma_m"]]
+            sure = f", and state standard deviations of {_range_mm(places)}" if places else ""
+            yield f"At the end they place the target {target} within {1e3 * of['apart_m']:.2f} mm of each other{sure}."
+    if about.complete or about.recovered:
+        mended = "it is the mended copy of a torn one" if about.recovered else "it was finished by its writer"
+        yield f"The file is whole: {mended}."
+    else:
+        yield "The file is not whole: what comes after its tear is not told here."
+
+
+def _robot(robot: str, target: str, one: Mapping[str, Any]) -> Iterator[str]:
+    """What one robot came to know of one target."""
+    if one["told_s"] is not None:
+        by = f" by {listed(one['told_by'])}" if one["told_by"] else ""
+        yield f"{robot} was told of the target {target}{by} after {one['told_s']:.1f} s" + (
+            f" and saw it itself after {one['seen_s']:.1f} s."
+            if one["seen_s"] is not None
+            else " and never saw it itself."
+        )
+    elif one["seen_s"] is not None:
+        yield f"{robot} found the target {target} by itself after {one['seen_s']:.1f} s."
+    else:
+        yield f"{robot} never knew of the target {target}."
+    if (again := one["starts_s"][1:]) != []:
+        yield f"It started again {_times(again)}."
+    if one["losses"]:
+        yield f"It lost sight of it {_losses(one['losses'])}."
+    for fault in one["faults"][:MOST]:
+        when = f"first at {fault['from_s']:.1f} s and last at {fault['until_s']:.1f} s"
+        yield f"It had a fault ({fault['text']}), {when}."
+    if not one["faults"]:
+        yield "It had no faults."
+    if len(one["faults"]) > MOST:
+        yield f"It had {len(one['faults']) - MOST} more kinds of faults."
+    if one["estimate_m"]:
+        place = ", ".join(f"{1e3 * x:.1f}" for x in one["estimate_m"])
+        sigma = f" ± {1e3 * one['sigma_m']:.1f}" if one["sigma_m"] is not None else ""
+        measured = f"from {one['measurements']} measurements of its own" if one["measurements"] else "by others alone"
+        yield f"In iteration {one['iteration']}, its last, it placed it at ({place}){sigma} mm, {measured}."
+    if one["heard"]:
+        heard = [f"{other} {of['messages']} times" for other, of in one["heard"].items()]
+        lost = sum(of["lost"] for of in one["heard"].values())
+        yield f"It heard {listed(heard)}, and {lost or 'none'} of their messages were lost on the way."
+    if one["refused"]:
+        yield f"It refused {one['refused']} messages."
+    if one["ended"] in MODES:
+        yield f"Of itself it says that {MODES[one['ended']]}."
+
+
+def _losses(losses: list[dict[str, float | None]]) -> str:
+    if len(losses) > MOST:
+        return f"{len(losses)} times"
+    told = [
+        f"at {loss['from_s']:.1f} s "
+        + (f"for {loss['until_s'] - (loss['from_s'] or 0.0):.1f} s" if loss["until_s"] is not None else "for good")
+        for loss in losses
+    ]
+    return listed(told)
+
+
+def _times(moments_s: list[float]) -> str:
+    return listed([f"at {t_s:.1f} s" for t_s in moments_s]) if len(moments_s) <= MOST else f"{len(moments_s)} times"
+
+
+def _range_mm(values_m: list[float]) -> str:
+    least, most = 1e3 * min(values_m), 1e3 * max(values_m)
+    return f"{least:.1f} mm" if f"{least:.1f}" == f"{most:.1f}" else f"{least:.1f} to {most:.1f} mm"
+
+
+def listed(words: list[str]) -> str:
+    """r1, r2 and r3."""
+    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
+
+
+# @@ told
+# `aucamp replay info`: the story of each recording, then what is in its files.
+
+WIDTH = 100  # characters of a line
+
+
+def info_all(paths: Iterable[Path], json_: bool, say: Callable[[str], None]) -> None:
+    """Each file of each recording, later parts included; the story stands with the first. Raises as `info` does.
+
+    A folder stands for the recordings in it. Raises ConfigError for one that has none.
+    """
+    for path in _recordings(paths):
+        facts: dict[str, Any] | None = None
+        for number, file in enumerate(parts(path)):
+            with suspecting(file):
+                about = info(file)
+                if number == 0:
+                    facts = _facts(path, about)
+                told = facts if number == 0 else None
+                say(_for_programs(file, about, told) if json_ else _for_people(file, about, told))
+
+
+def _recordings(paths: Iterable[Path]) -> list[Path]:
+    found = []
+    for path in paths:
+        there = sorted(path.glob("*.mcap")) + sorted(path.glob("*.mcap.active")) if path.is_dir() else [path]
+        if not there:
+            raise ConfigError(f"{path}: has no recording (.mcap) in it; give the folder of a run, or a recording")
+        found += [file for file in there if len(there) == 1 or ".part" not in file.name]
+    return found
+
+
+def _facts(path: Path, about: Info) -> dict[str, Any] | None:
+    """None of a file that is no recording of ours, or whose header cannot be believed: `describe` says so."""
+    return story_facts(path) if about.run.get("kind") in ("black box", "fleet") and not about.damage else None
+
+
+def _for_people(file: Path, about: Info, facts: dict[str, Any] | None) -> str:
+    head, _, rest = describe(file, about).partition("\n")
+    if facts is None:
+        return f"{head}\n{rest}"
+    paragraph = textwrap.fill(story(facts, about), WIDTH, initial_indent="  ", subsequent_indent="  ")
+    return f"{head}\n{paragraph}\n\n{rest}"
+
+
+def _for_programs(file: Path, about: Info, facts: dict[str, Any] | None) -> str:
+    return json.dumps({**json.loads(as_json(file, about)), "story": facts}, indent=1)

@@ -1,1 +1,0 @@
-"""A dive told in words, from one recording."""
