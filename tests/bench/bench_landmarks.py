@@ -14,8 +14,8 @@ import numpy as np
 from agent.core.ranging.camera_model import CameraFit
 from agent.perception.flow import begin, follow
 from agent.perception.tags import find_tags
-from tests.perception.landmarks.floor import frame, pose, texture
-from tests.perception.landmarks.printed import WALL, bend, corner_slopes, photograph, tag_light, turned
+from tests.perception.floor import frame, pose, texture
+from tests.perception.printed import WALL, bend, corner_slopes, photograph, tag_light, turned
 
 CAMERA = CameraFit(width_px=640, height_px=480, f_px=1184.0, cx_px=319.5, cy_px=239.5, bend=0.392)
 NOISE = 0.02

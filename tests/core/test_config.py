@@ -3,10 +3,12 @@
 from pathlib import Path
 
 import pytest
+from msgspec.structs import replace
 
 import agent
-from agent.core.config import ConfigError, dump
+from agent.core.config import ConfigError, Fleet, Pose, Tank, Target, Twin, common, dump
 from agent.robot.fleet_reader import load_fleet
+from tests.places import ROOT
 
 BALL = 'detector = "ball"\nradius_m = 0.07'
 TANK = (Path(agent.__file__).parent / "fleets" / "tank.toml").read_text()
@@ -170,3 +172,135 @@ def test_what_is_no_toml_file(tmp_path) -> None:
     for path in (tmp_path / "none.toml", tmp_path, picture):
         with pytest.raises(ConfigError, match=str(path)):
             load_fleet(path)
+
+
+# @@ test_fleet_digest
+# Fleet files that go together have one digest, and files that do not have another.
+
+SHIPPED = ("tank", "two_balls")
+
+
+@pytest.fixture
+def fleet() -> Fleet:
+    return load_fleet(ROOT / "agent" / "fleets" / "tank.toml")
+
+
+def test_sixteen_digits_the_same_from_every_start_of_python() -> None:
+    digests = [common(load_fleet(ROOT / "agent" / "fleets" / f"{name}.toml")) for name in SHIPPED]
+    assert digests == ["90c09ac11a9f1aa0", "3e1f9844c7b76196"]
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        {"fleet": "lake"},
+        {"tank": Tank(size_m=(1.5, 1.2, 0.9))},
+        {"tank": Tank(surface_m=0.6)},
+        {"target": {"ball": Target(radius_m=0.08)}},
+        {"target": {"ball": Target(radius_m=0.07, colour="green")}},
+        {"target": {"buoy": Target(radius_m=0.07)}},
+        {"target": {"ball": Target(radius_m=0.07), "buoy": Target(radius_m=0.07)}},
+        {"target": {"ball": Target(radius_m=0.07, speed_m_s=0.2, turn_s=2.0)}},
+        {"target": {"ball": Target(detector="box", picture="ball.png", box=(1.0, 2.0, 30.0, 40.0))}},
+    ],
+)
+def test_what_is_shared_counts(fleet: Fleet, part: dict) -> None:
+    assert common(replace(fleet, **part)) != common(fleet)
+
+
+@pytest.mark.parametrize(
+    ("table", "part"),
+    [
+        ("estimation", {"protocol": "paper"}),
+        ("estimation", {"iteration_s": 0.5}),
+        ("estimation", {"validity_s": 0.6}),
+        ("estimation", {"liars": 2}),
+        ("estimation", {"clip": True}),
+        ("water", {"refractive_index": 1.34}),
+    ],
+)
+def test_so_does_each_setting_of_the_protocol_and_of_the_light(fleet: Fleet, table: str, part: dict) -> None:
+    assert common(replace(fleet, **{table: replace(getattr(fleet, table), **part)})) != common(fleet)
+
+
+def test_who_takes_part_counts_and_who_hears_whom(fleet: Fleet) -> None:
+    robots = dict(fleet.robot)
+    fewer = {name: robot for name, robot in robots.items() if name != "r5"}
+    deaf = {**robots, "r1": replace(robots["r1"], neighbours=("r2", "r3", "r4"))}
+    assert len({common(fleet), common(replace(fleet, robot=fewer)), common(replace(fleet, robot=deaf))}) == 3
+
+
+@pytest.mark.parametrize(
+    "part",
+    [
+        {"depth_m": 0.2},
+        {"pose": Pose(x_m=0.1, y_m=0.2, yaw_deg=3.0)},
+        {"serial": "/dev/ttyACM0", "camera": "/dev/video0"},
+        {"listen": "tcp/10.0.0.7:17401"},
+        {"calibration": "elsewhere.toml"},
+        {"neighbours": ("r5", "r4", "r3", "r2")},
+    ],
+)
+def test_what_is_a_robots_own_does_not(fleet: Fleet, part: dict) -> None:
+    robot = {**fleet.robot, "r1": replace(fleet.robot["r1"], **part)}
+    assert common(replace(fleet, robot=robot)) == common(fleet)
+
+
+def test_nor_do_orders_of_tables_ways_to_write_a_number_and_places_of_files(fleet: Fleet, tmp_path: Path) -> None:
+    turned = replace(fleet, robot=dict(reversed(fleet.robot.items())), twin=Twin(seed=9, dir=str(tmp_path)))
+    assert common(turned) == common(fleet)
+    assert common(replace(fleet, tank=Tank(size_m=(1, 2, 3)))) == common(
+        replace(fleet, tank=Tank(size_m=(1.0, 2.0, 3.0)))
+    )
+    red, unsaid = Target(radius_m=0.07, colour="red"), Target(radius_m=0.07)
+    assert common(replace(fleet, target={"ball": red})) == common(replace(fleet, target={"ball": unsaid}))
+    boxes = [
+        Target(detector="box", picture=str(tmp_path / name), box=(k, k, 30.0, 40.0), models=str(tmp_path / name))
+        for k, name in ((1.0, "a"), (2.0, "b"))
+    ]
+    assert len({common(replace(fleet, target={"thing": box})) for box in boxes}) == 1
+
+
+# @@ test_access_rules
+# `[access]`: who looks and who orders, all links of one kind, and names that are one party's each.
+
+SECURED = TANK.replace("tcp/", "tls/") + '\n[access]\nkeys = "keys"\n'
+
+
+def access_rules_load(folder: Path, text: str) -> Fleet:
+    path = folder / "fleet.toml"
+    path.write_text(text)
+    return load_fleet(path)
+
+
+def test_a_fleet_is_secured_when_every_robot_listens_on_tls(tmp_path: Path) -> None:
+    assert not access_rules_load(tmp_path, TANK).secured
+    fleet = access_rules_load(tmp_path, SECURED + 'consoles = ["ann", "bob"]\n')
+    assert fleet.secured and fleet.access.consoles == ("ann", "bob")
+    assert fleet.access.observers == ("recorder", "view", "router")
+    assert access_rules_load(tmp_path, dump(fleet)) == fleet
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (TANK.replace("tcp/", "tls/"), "key 'access.keys': .* write keys = \"keys\", and make them with aucamp keys"),
+        (SECURED.replace("tls/", "tcp/", 1), "key 'robot.r1.listen': open, while r2 listens on tls/; write all"),
+        (SECURED.replace("tls/", "udp/", 1), "key 'robot.r1.listen': .* write tcp/HOST:PORT, or tls/HOST:PORT"),
+        (SECURED.replace("127.0.0.1", "[::1]", 1), "key 'robot.r1.listen': no address of IPv6 can be dialled by TLS"),
+        (SECURED + 'consoles = ["r2"]\n', "key 'access.consoles': 'r2' is a robot already; give each"),
+        (SECURED + 'consoles = ["view"]\n', "key 'access.consoles': 'view' is an observer already; give each"),
+        (SECURED + 'consoles = ["ann", "ann"]\n', "key 'access.consoles': 'ann' is a console already; give each"),
+        (SECURED + 'observers = ["ca"]\n', "key 'access.observers': 'ca' is the name of the authority's files"),
+        (SECURED.replace("r5", "ca"), "key 'robot.ca': is the name of the authority's files .* call the robot"),
+        (SECURED + 'consoles = ["Ann!"]\n', "access.consoles"),
+    ],
+)
+def test_what_is_wrong_is_one_line_that_says_what_to_change(tmp_path: Path, text: str, said: str) -> None:
+    with pytest.raises(ConfigError, match=said) as caught:
+        access_rules_load(tmp_path, text)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_open_fleet_may_call_a_robot_as_it_likes(tmp_path: Path) -> None:
+    assert "view" in access_rules_load(tmp_path, TANK.replace("r5", "view")).robot

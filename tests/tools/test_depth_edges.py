@@ -7,8 +7,8 @@ from agent.perception.depth_peaks import GridPeaks, Reason, cuts, enclosed, midd
 from agent.perception.depth_sweep import clarity_of, measure, sweep
 from hw.camera.files import open_stack
 from tests.bench.pictures.bench_edges import jumps
-from tests.bench.pictures.edges.scenes import FRAMES, render
-from tests.bench.pictures.edges.score import score
+from tests.bench.pictures.scenes import FRAMES, render
+from tests.bench.pictures.score import score
 from tests.places import DATA
 from tests.tools.planes import quiet
 

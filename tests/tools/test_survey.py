@@ -33,7 +33,7 @@ from agent.tools.tag_map import (
     survey,
 )
 from tests.known_lens import CAMERA
-from tests.perception.landmarks.printed import modules, photograph
+from tests.perception.printed import modules, photograph
 from tests.tools.drawn_survey import SIDE_M, SIGMA_DEG, SIGMA_M, SIZE_SPREAD, TANK, drawn, film, listed
 from tests.tools.planes import CALIBRATION
 

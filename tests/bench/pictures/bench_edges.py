@@ -12,8 +12,8 @@ import numpy as np
 
 from agent.perception.depth_sweep import clarity_of, measure
 from hw.camera.files import read_picture
-from tests.bench.pictures.edges.scenes import FRAMES, PHOTOGRAPHS, Stack, stacks
-from tests.bench.pictures.edges.score import Score, score
+from tests.bench.pictures.scenes import FRAMES, PHOTOGRAPHS, Stack, stacks
+from tests.bench.pictures.score import Score, score
 from tests.places import DATA
 
 BLOCK_PX = 40  # of pictures of 400

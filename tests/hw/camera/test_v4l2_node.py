@@ -1,15 +1,25 @@
 """Video nodes: the numbers of their system calls, and finding one camera among them; the cameras are faked."""
 
+import logging
 import os
 
 import numpy as np
 import pytest
 
+from agent.clock.clock import SystemClock
+from agent.core.ranging.camera_model import CameraFit
+from agent.core.step_io import SweepPlan
+from agent.perception.detection.detectors import load_detectors
+from agent.perception.vision import Vision
+from agent.process.command import shipped_fleet
+from agent.robot.fleet_reader import load_fleet
 from hw.camera import v4l2_node
 from hw.camera import v4l2_node as v4l2
 from hw.camera.camera import CameraError, CameraGone
 from hw.camera.v4l2 import MJPG, YUYV
-from tests.hw.camera.fake_v4l2 import FakeCamera, scene, through_yuyv
+from tests.hw.camera.fake_v4l2 import FakeCamera, FakeComputer, scene, through_yuyv
+from tests.sightings import collect
+from tests.waiting import until
 
 
 class TestCalls:
@@ -88,3 +98,104 @@ class TestPlace:
         assert computer.camera.path == "/dev/video12"
         assert computer.camera.value(v4l2.FOCUS_AUTO) == 0
         assert again.set_focus(15) == 15 and np.array_equal(again.read().image, through_yuyv(scene(15)))
+
+
+# @@ test_camera_replug
+# A camera is pulled out and comes back as another node: the vision worker goes on by itself.
+
+CAMERA = CameraFit(width_px=96, height_px=64, f_px=150.0, cx_px=47.5, cy_px=31.5)
+
+
+def test_a_sweep_after_the_replug_is_carried_out_on_the_new_node():
+    computer = FakeComputer()
+    fleet = load_fleet(shipped_fleet())
+    vision = Vision(computer.open, fleet, CAMERA, load_detectors(fleet, CAMERA), SystemClock())
+    vision.start()
+    try:
+        vision.plan(SweepPlan(sweep=1, focus=(0, 5, 10)))
+        collect(vision, lambda seen: any(s.sweep == 1 for s in seen), 30.0)
+        computer.pull()
+        until(lambda: vision.errors)
+        computer.plug("/dev/video12")
+        until(lambda: vision.fault is None)
+        vision.plan(SweepPlan(sweep=2, focus=(0, 5, 10, 15, 20)))
+        seen = collect(vision, lambda seen: any(s.sweep == 2 and s.index == 4 for s in seen), 30.0)
+        assert [s.focus for s in seen if s.sweep == 2] == [5, 10, 15, 20]
+        assert computer.camera.path == "/dev/video12" and computer.camera.value(v4l2.FOCUS_AUTO) == 0
+    finally:
+        vision.close()
+
+
+# @@ test_v4l2_controls
+# What a camera may not change by itself in a sweep, checked on one that is faked below the system calls.
+
+
+def test_autofocus_goes_off_before_the_lens_is_moved(computer, device):
+    camera = computer.open()
+    assert device.value(v4l2.FOCUS_AUTO) == 0
+    camera.set_focus(10)
+    controls = [control for control, _ in device.written]
+    assert controls.index(v4l2.FOCUS_AUTO) < controls.index(v4l2.FOCUS_ABSOLUTE)
+
+
+def test_positions_are_those_of_the_driver(computer, device):
+    camera = computer.open()
+    assert camera.focus_range() == (0, 20, 5)
+    assert camera.set_focus(12) == 10
+    device.controls[v4l2.FOCUS_ABSOLUTE][1] = 17  # a driver that clamps and says nothing
+    assert camera.set_focus(20) == 17
+
+
+@pytest.mark.parametrize("change", ["absent", "no travel"])
+def test_a_camera_without_focus(computer, device, change, caplog):
+    if change == "absent":
+        del device.controls[v4l2.FOCUS_ABSOLUTE], device.controls[v4l2.FOCUS_AUTO]
+    else:
+        device.controls[v4l2.FOCUS_ABSOLUTE] = [0, 0, 1, 0]
+    camera = computer.open()
+    assert camera.focus_range() is None
+    assert "its focus cannot be set" in caplog.text
+    with pytest.raises(CameraError, match="cannot be set"):
+        camera.set_focus(1)
+
+
+def test_exposure_is_locked_where_the_automatic_left_it(computer, device):
+    computer.open()
+    assert device.value(v4l2.EXPOSURE_AUTO) == v4l2.EXPOSURE_MANUAL
+    assert device.value(v4l2.EXPOSURE_ABSOLUTE) == 100  # not the 40 of before the warm-up
+    assert device.value(v4l2.EXPOSURE_AUTO_PRIORITY) == 0
+    assert device.value(v4l2.AUTO_WHITE_BALANCE) == 0 and device.value(v4l2.WHITE_BALANCE_TEMPERATURE) == 5000
+    assert device.value(v4l2.SHARPNESS) == 1
+
+
+@pytest.mark.parametrize("control", [v4l2.EXPOSURE_AUTO, v4l2.AUTO_WHITE_BALANCE, v4l2.FOCUS_AUTO])
+def test_an_automatic_that_stays_on_is_refused(computer, device, control):
+    device.controls[control] = [3, 3, 1, 3]  # takes any value, keeps its own
+    with pytest.raises(CameraError, match=f"automatic|autofocus.*{control:#010x}.*cannot be switched off"):
+        computer.open()
+    assert not device.opened and not device.streaming
+
+
+def test_a_control_that_the_driver_refuses_is_one_line(computer, device):
+    camera = computer.open()
+    device.controls[v4l2.FOCUS_AUTO][3] = 1  # another program switched it on again
+    with pytest.raises(CameraError, match=r"the focus \(control 0x009a090a\): Permission denied"):
+        camera.set_focus(5)
+
+
+def test_what_it_cannot_hold_is_said_once(computer, device, caplog):
+    for control in (
+        v4l2.AUTO_WHITE_BALANCE,
+        v4l2.WHITE_BALANCE_TEMPERATURE,
+        v4l2.SHARPNESS,
+        v4l2.EXPOSURE_AUTO_PRIORITY,
+    ):
+        del device.controls[control]
+    caplog.set_level(logging.WARNING)
+    camera = computer.open()
+    for lens_position in (0, 5, 10):
+        camera.set_focus(lens_position)
+        camera.read()
+    lines = [record.getMessage() for record in caplog.records]
+    assert len(lines) == 1
+    assert lines[0].startswith("/dev/video7 ('Deep Webcam'): it has no control of gain, white balance, sharpening;")

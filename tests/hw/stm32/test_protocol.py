@@ -2,10 +2,30 @@
 
 from __future__ import annotations
 
+import math
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterator
+
+import pytest
+from msgspec import UNSET
+from msgspec.structs import replace
+
+from agent.clock.clock import SystemClock
+from agent.core.config import ConfigError, dump
 from agent.core.step_io import SetPoint
-from hw.firmware import parameters, wire
-from hw.stm32.protocol import CURABLE, NO_ANSWER, NO_BOARD, OVERTAKEN, HostProtocol, event_line
-from tests.hw.stm32.fake_board import FakeBoard, kinds
+from agent.ground.board_reboot import reboot
+from agent.process.command import Failed
+from hw.firmware import failsafe, parameters, wire
+from hw.stm32.driver import Stm32
+from hw.stm32.protocol import CURABLE, NO_ANSWER, NO_BOARD, OVERTAKEN, Arming, HostProtocol, event_line
+from tests.hw.firmware.diving_robot import FLEET
+from tests.hw.firmware.nominal_plant import AIR_PA
+from tests.hw.stm32.driven_desk import Port, drive
+from tests.hw.stm32.fake_board import FakeBoard, frames, kinds
+from tests.waiting import until
 
 MS = 1_000_000
 
@@ -145,3 +165,241 @@ def test_a_cancelled_order_disturbs_nobody():
     assert future.cancel()
     board.say(wire.ACK, 1, wire.PARAM_SAVE, wire.OK, board.boot_id)
     assert protocol.is_answered()
+
+
+# @@ test_board_reboot
+# A latched board is rebooted by a person's order, one with its motors on is not.
+
+
+@pytest.fixture
+def started(put_on_desk, monkeypatch) -> Iterator:
+    """started(reset_cause, flash) is a board whose time passes by itself."""
+    stop, threads = threading.Event(), []
+
+    def start(reset_cause: int = wire.POWER_ON, flash=None):
+        monkeypatch.setenv("AUCAMP_RESET_CAUSE", str(reset_cause))
+        desk = put_on_desk(sys.executable, flash)
+        desk.listen = lambda: None  # the driver reads the tether, not the desk
+        pins = []
+
+        def run() -> None:
+            while not stop.is_set():
+                pins[:] = desk.tick()
+                time.sleep(0.001)
+
+        threads.append(threading.Thread(target=run))
+        return desk, pins, threads[-1]
+
+    yield start
+    stop.set()
+    for thread in threads:
+        if thread.is_alive():
+            thread.join()
+
+
+def fleet_file(tmp_path, port: str):
+    robot = replace(FLEET.robot["r1"], serial=port, camera="v4l2:/dev/video0")
+    path = tmp_path / "fleet.toml"
+    path.write_text(dump(replace(FLEET, robot={"r1": robot})))
+    return path
+
+
+def test_after_the_watchdog_the_board_is_rebooted_and_nothing_is_latched(started, tmp_path):
+    desk, _, board_time = started(wire.BY_WATCHDOG)
+    board_time.start()
+    said: list[str] = []
+    reboot(fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", said.append)
+    assert any("reset by watchdog: reboot by order" in line for line in said)
+    assert said[-1].startswith("r1: rebooted; arm it")
+
+
+def test_a_board_that_latches_again_says_why(started, tmp_path):
+    desk, _, board_time = started(flash={"law": "pip"})
+    board_time.start()
+    with pytest.raises(Failed, match=r"latched again \(board: flash: law = pip"):
+        reboot(fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", lambda line: None)
+
+
+def test_a_robot_with_its_motors_on_is_left_to_itself(started, tmp_path):
+    desk, pins, board_time = started()
+    del desk.listen
+    desk.arm()
+    desk.listen = lambda: None
+    board_time.start()
+    with pytest.raises(Failed, match="its motors are on"):
+        reboot(fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", lambda line: None)
+    assert pins[-1] == wire.ARMED and min(pins[1:5]) > 1500, "and goes up"
+
+
+def test_nobody_there_is_told(tmp_path):
+    with pytest.raises(Failed, match=r"r1: no board answers \(.*No such file"):
+        reboot(fleet_file(tmp_path, str(tmp_path / "nothing")), "r1", lambda line: None, limit_s=0.5)
+
+
+def test_a_refusal_to_arm_names_the_way_out():
+    arming = Arming()
+    arming.want()
+    line = arming.refused(1 << wire.ARM_CHECKS.index("fault latched"))
+    assert line is not None and "aucamp board reboot" in line.text and failsafe.LATCHED == 4
+    arming.want()
+    line = arming.refused(1 << wire.ARM_CHECKS.index("leak"))
+    assert line is not None and "put it right" in line.text
+
+
+# @@ test_orders
+# Orders through the driver: futures that always end, repeats, and parameters that a restart does not lose.
+
+
+@pytest.fixture
+def desk(put_on_desk):
+    desk = put_on_desk(sys.executable)
+    desk.listen = lambda: None  # the driver reads the tether
+    return desk
+
+
+@pytest.fixture
+def driver(desk, tmp_path):
+    with Stm32(str(Port(desk, tmp_path).path), SystemClock()) as driver:
+        drive(desk, driver, lambda: driver.counters.rx_ok > 5)
+        yield driver
+
+
+def outcome(desk, driver, future):
+    drive(desk, driver, future.done)
+    return future.result(0)
+
+
+def test_parameters(desk, driver):
+    listed = outcome(desk, driver, driver.parameters())
+    assert listed.ok and listed.values == {row[0]: row[1] for row in parameters.TABLE}
+    assert driver.greeting.parameters_crc == parameters.crc([listed.values[name] for name in parameters.NAMES])
+    assert outcome(desk, driver, driver.set_parameter("lag_s", 0.15)).values == {"lag_s": 0.15}
+    assert outcome(desk, driver, driver.parameter("lag_s")).values == {"lag_s": 0.15}
+    assert outcome(desk, driver, driver.save_parameters()).ok
+    assert '"lag_s": 0.15' in desk.flash_path.read_text()
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "advice"),
+    [("lag", 0.1, "write one of: law"), ("lag_s", 9.0, "0.02 to 0.4 s"), ("law", 0.5, "whole")],
+)
+def test_what_cannot_be_set_is_told_at_once(name, value, advice):
+    with pytest.raises(ConfigError, match=advice):
+        Stm32("/nowhere", SystemClock()).set_parameter(name, value)
+
+
+def test_tare_and_mode(desk, driver):
+    desk.pressure_pa = [AIR_PA + 40.0] * 4
+    assert outcome(desk, driver, driver.tare()).ok
+    assert f'"tare_pa": [{AIR_PA + 40.0}' in desk.flash_path.read_text()
+    assert outcome(desk, driver, driver.mode("bench", 3)).ok
+    assert outcome(desk, driver, driver.mode("surface")).result == "refused"
+    desk.pressure_pa[0] += 600.0
+    assert outcome(desk, driver, driver.tare()).result == "refused"
+
+
+def test_reboot_brings_back_what_was_set_and_not_saved(desk, driver):
+    boot_id = driver.greeting.boot_id
+    assert outcome(desk, driver, driver.set_parameter("net_weight_N", 1.5)).ok
+    assert outcome(desk, driver, driver.reboot()).ok
+    drive(desk, driver, lambda: driver.greeting.boot_id != boot_id)
+    assert driver.greeting.reset_cause == wire.BY_ORDER
+    drive(desk, driver, lambda: driver._protocol._orders.idle)
+    assert outcome(desk, driver, driver.parameter("net_weight_N")).values == {"net_weight_N": 1.5}
+
+
+def test_a_pulled_plug_ends_what_was_asked(desk, driver):
+    future = driver.tare()
+    desk.power_off()
+    until(future.done, 3.0)
+    assert future.result(0).result in (NO_ANSWER, NO_BOARD)
+
+
+def test_a_tap_sees_all_bytes_of_both_directions(desk, tmp_path):
+    seen = {True: b"", False: b""}
+
+    def tap(from_board: bool, data: bytes) -> None:
+        seen[from_board] += data
+
+    with Stm32(str(Port(desk, tmp_path).path), SystemClock(), tap=tap) as driver:
+        drive(desk, driver, lambda: driver.counters.rx_ok > 20)
+        frames = driver.counters.rx_ok
+    for from_board, kind in ((True, wire.TELEM), (False, wire.SETPOINT)):
+        kinds: list[int] = []
+        framer = wire.Framer(lambda kind, _seq, _payload, kinds=kinds: kinds.append(kind))
+        framer.feed(seen[from_board], len(seen[from_board]))
+        assert kind in kinds and framer.rx_bad == 0
+        assert not from_board or framer.rx_ok >= frames
+
+
+# @@ test_versions
+# Boards and hosts of two versions of the protocol: the older one is served as it always was.
+
+HOST_BOOT = 9
+
+
+def greetings(out):
+    return [fields for kind, fields in frames(out) if kind == wire.HELLO]
+
+
+def test_an_old_board_hears_what_it_always_heard() -> None:
+    protocol = HostProtocol(HOST_BOOT)
+    board = FakeBoard(protocol, version=1)
+    assert greetings(protocol.due(0)) == [(1, 0xA725AA30, HOST_BOOT)]
+    board.greet()
+    assert not any(protocol.due(ms * MS) for ms in range(10, 3000, 10)), "nothing more to be said"
+    board.telemetry()
+    assert protocol.telemetry[-1].rate_rad_s is UNSET
+    assert [line.text for line in protocol.lines] == ["board testtest, boot 00000005"]
+
+
+def test_a_new_board_is_greeted_in_what_it_offers_until_it_agrees() -> None:
+    protocol = HostProtocol(HOST_BOOT)
+    board = FakeBoard(protocol)
+    protocol.due(0)
+    board.greet(version=1)
+    asked = [ms for ms in range(10, 1200, 10) if greetings(protocol.due(ms * MS)) == [(2, wire.SCHEMA_CRC[2], 9)]]
+    assert asked == [10, 510, 1010]
+    protocol.arm()
+    board.greet()
+    assert wire.ARM in [kind for kind, _ in frames(protocol.due(1200 * MS))]
+    assert not greetings(protocol.due(3000 * MS))
+    board.telemetry(rate=-4500)
+    assert protocol.telemetry[-1].rate_rad_s == pytest.approx(math.radians(-45.0))
+    board.telemetry()
+    assert protocol.telemetry[-1].rate_rad_s is UNSET
+    assert [line.text for line in protocol.lines] == ["board testtest, boot 00000005"], "one greeting for people"
+
+
+def test_a_board_that_restarts_as_an_older_one_is_served_as_that() -> None:
+    protocol = HostProtocol(HOST_BOOT)
+    FakeBoard(protocol).greet()
+    old = FakeBoard(protocol, boot_id=6, version=1)
+    old.telemetry(flags=0)
+    assert greetings(protocol.due(1000 * MS)) == [(1, wire.SCHEMA_CRC[1], HOST_BOOT)]
+    old.greet()
+    assert not protocol.due(3000 * MS)
+
+
+@pytest.mark.parametrize(("version", "kind"), [(1, wire.TELEM_1), (2, wire.TELEM)])
+def test_the_firmware_speaks_both(put_on_desk, version, kind) -> None:
+    desk = put_on_desk(sys.executable)
+    desk.yaw_rate = 4321
+    desk.say(wire.HELLO, version, wire.SCHEMA_CRC[version], 77)
+    said = desk.until(lambda: desk.heard(wire.HELLO_ACK))[0]
+    assert said[:2] == (version, wire.SCHEMA_CRC[version]) and said[-1] & wire.CAN_VERSION_2
+    desk.forget()
+    desk.tick(6)
+    told = desk.heard(kind)
+    assert len(told) >= 2 and len(told) == len(desk.heard(wire.TELEM) + desk.heard(wire.TELEM_1))
+    assert told[-1][3] & wire.FLAG_HELLO
+    assert told[-1][-1] == 4321 if version == 2 else len(told[-1]) == 33
+
+
+def test_the_firmware_refuses_what_it_does_not_know(put_on_desk) -> None:
+    desk = put_on_desk(sys.executable)
+    desk.say(wire.HELLO, 3, 12345, 77)
+    assert desk.until(lambda: desk.heard(wire.HELLO_ACK))[0][:2] == (wire.PROTOCOL, wire.schema_crc())
+    desk.forget()
+    desk.tick(6)
+    assert not any(fields[3] & wire.FLAG_HELLO for fields in desk.heard(wire.TELEM_1))

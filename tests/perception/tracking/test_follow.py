@@ -7,9 +7,17 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
+from agent.perception.detection.detectors import BoxDetector
 from agent.perception.tracking.appearance import Box, likeness, remember, search
 from agent.perception.tracking.distractors import Motion
-from agent.perception.tracking.follow import FOUND_LIKE, HOLD_SHAPE, SURE_SHAPE, Follower, load_box_tracker
+from agent.perception.tracking.follow import (
+    FOUND_LIKE,
+    HOLD_SHAPE,
+    SURE_SHAPE,
+    CorrelationTracker,
+    Follower,
+    load_box_tracker,
+)
 from tests.perception.tracking.swimming import clip, overlap
 from tests.places import DATA
 
@@ -125,3 +133,79 @@ def test_network_files_that_are_not_nanotrack(tmp_path):
         load_box_tracker(other, None)
     with pytest.raises(ConfigError, match="is not nanotrack_backbone_sim"):
         load_box_tracker(other, other)
+
+
+# @@ test_correlation
+# The filter that follows a box without any file.
+
+
+@pytest.mark.parametrize("blur_px", [0.1, 9.0])
+def test_it_does_not_stay_behind_when_the_camera_turns(blur_px):
+    """From a thing as large as half the picture, which moves by a fifth of its box from one frame to the next."""
+    image, box = next(clip(1))
+    frame = cv2.GaussianBlur(cv2.resize(image, None, fx=3.0, fy=3.0), (0, 0), blur_px)
+    box = Box(*(3.0 * side for side in box))
+    turns = [(0.0, 0.0), *[(0.2, 0.2)] * 3, *[(0.0, 0.0)] * 2, *[(-0.2, -0.15)] * 4, *[(0.0, 0.0)] * 2]
+    tracker = CorrelationTracker()
+    tracker.start(frame, box)
+    x, y = 0.0, 0.0
+    for across, down in turns:
+        x, y = x + across * box.width, y + down * box.height
+        found = tracker.follow(np.roll(frame, (round(y), round(x)), (0, 1)))
+    assert abs(found.x - box.x - x) < 0.05 * box.width
+    assert abs(found.y - box.y - y) < 0.05 * box.height
+
+
+def test_its_box_grows_with_the_thing():
+    image, box = next(clip(1))
+    tracker, scale = CorrelationTracker(), 1.0
+    tracker.start(image, Box(*box))
+    for _ in range(12):
+        scale *= 1.02
+        larger = cv2.resize(image, None, fx=scale, fy=scale)[: image.shape[0], : image.shape[1]]
+        found = tracker.follow(larger)
+        tracker.learn(larger, found)
+    assert overlap(found, [scale * side for side in box]) > 0.75  # 0.62 with the size it had
+
+
+def test_it_is_not_sent_away_from_a_plain_area():
+    image = np.zeros((360, 480, 3), np.uint8)
+    tracker = CorrelationTracker()
+    tracker.start(image, Box(200, 150, 60, 40))
+    assert tuple(tracker.follow(image)) == pytest.approx((200, 150, 60, 40), abs=3)
+
+
+# @@ test_drawn_box
+# A box that somebody draws in a frame that was shown: vision looks for what is in it from the next frame on.
+
+RED, YELLOW, RADIUS = (40, 40, 190), (40, 170, 190), 14  # blue green red
+
+
+def picture(red, yellow, seed: int) -> np.ndarray:
+    """Two balls on water, and the noise of a camera."""
+    image = np.full((180, 240, 3), (130, 110, 30), np.uint8)
+    for (u, v), colour in ((red, RED), (yellow, YELLOW)):
+        cv2.circle(image, (u, v), RADIUS, colour, -1, cv2.LINE_AA)
+        cv2.circle(image, (u - 4, v - 5), 4, (230, 230, 230), -1, cv2.LINE_AA)
+    noise = np.random.default_rng(seed).normal(0, 3, image.shape)
+    return np.clip(image + noise, 0, 255).astype(np.uint8)
+
+
+def around(u: int, v: int) -> Box:
+    return Box(u - RADIUS, v - RADIUS, 2 * RADIUS, 2 * RADIUS)
+
+
+def test_it_changes_over_to_what_was_drawn_though_that_has_moved_meanwhile() -> None:
+    follower = Follower(load_box_tracker(None, None))
+    follower.expect(picture((120, 90), (50, 50), 0), around(120, 90))
+    detector = BoxDetector(follower)
+    red, yellow = (120, 90), (50, 50)
+    for seed in range(1, 5):
+        found = detector.find(picture(red, yellow, seed))
+        assert found is not None and overlap(found.box, around(*red)) > 0.6
+    shown = picture(red, yellow, 5)
+    moved = (70, 110)
+    detector.expect(shown, around(*yellow))
+    for seed in range(6, 10):
+        found = detector.find(picture(red, moved, seed))
+        assert found is not None and overlap(found.box, around(*moved)) > 0.6

@@ -5,7 +5,7 @@ import pytest
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.distractors import CLUTTER_KEPT, EVERY, Seen, Surveys
 from agent.perception.tracking.follow import FOLLOWED, Follower, load_box_tracker
-from tests.perception.tracking.test_loss import RED, around, picture, water
+from tests.perception.tracking.test_appearance import RED, around, picture, water
 
 __all__ = ["water"]  # the fixture
 

@@ -2,6 +2,7 @@
 
 import html
 import json
+import math
 import re
 import shutil
 import subprocess
@@ -12,14 +13,23 @@ import msgspec
 import numpy as np
 import pytest
 
+from agent.clock.clock import SystemClock
 from agent.core.config import ConfigError, Target, dump
 from agent.core.messages import LogLine
-from replay.check.reexecute import open_boxes
+from replay.check.explain import explain
+from replay.check.reexecute import open_box, open_boxes
+from replay.files.channels import STEP_OUT, Entry
+from replay.files.info import RateNotes
+from replay.files.log import info, read
+from replay.files.mcap_file import Part
 from replay.report.figures import hover, thin
 from replay.report.report import report
 from replay.report.tables import error_note, error_table, events, relative_percent, remarks
 from replay.report.timeline import open_run, timelines
+from replay.viewers.viewer_channels import ViewerChannels
 from tests.places import GOLDEN
+from tests.replay.overheard_run import overheard_run
+from tests.replay.paced_clock import PacedClock
 from tests.replay.page_tables import table
 from tests.replay.rewritten import rewritten
 
@@ -264,3 +274,131 @@ def test_of_a_thing_in_a_box_the_page_says_what_its_errors_are(run: Path) -> Non
     of_a_box = of_a_ball._replace(fleet=msgspec.structs.replace(of_a_ball.fleet, target={name: box}))
     assert "the thing's middle" not in error_note(of_a_ball)
     assert f"Of a thing in a box ({name})" in error_note(of_a_box)
+
+
+# @@ test_report_clock
+# How a dive's clock went, on the page of its run.
+
+
+def noted(source: Path, out: Path) -> Path:
+    """The recording with notes of a clock that goes at 2.4 times real time, and from the middle on at 1.6 times."""
+    about, records = info(source), list(read(source))
+    part = Part(out)
+    part.start(about.run, about.attachments)
+    clock = PacedClock(records[0].log_time_ns, 2.4)
+    notes = RateNotes(clock, clock.unix_ns)
+    for n, record in enumerate(records):
+        if n == len(records) // 2:
+            clock.change_rate(1.6)
+        clock.go_on(max(0, record.log_time_ns - clock.now_ns()) * 1e-9)
+        part.add(Entry(*record, "msgpack", {}))
+        for note in notes.due():
+            part.add(note)
+    part.finish("aucamp.end", {"cause": "clean"})
+    return out
+
+
+def test_black_boxes_tell_how_it_went(tmp_path: Path) -> None:
+    for name in ("r1", "r2", "r3"):
+        noted(GOLDEN / "three" / f"{name}.mcap", tmp_path / f"{name}.mcap")
+    page = report(tmp_path).read_text(encoding="utf-8")
+    assert told(page) == told_of(tmp_path)
+    assert page.index('id="links"') < page.index('id="clock"')
+    assert page[page.index('<section id="clock">') :].count("<svg") == 1
+
+
+def test_a_fleet_file_tells_it_too(tmp_path: Path) -> None:
+    bare = overheard_run(GOLDEN / "three", tmp_path / "bare.mcap")
+    page = report(noted(bare, tmp_path / "fleet.mcap")).read_text(encoding="utf-8")
+    assert told(page) == told_of(tmp_path / "fleet.mcap")
+
+
+def test_one_robots_notes_are_enough(tmp_path: Path) -> None:
+    """As of a run of which one recording is older than notes."""
+    noted(GOLDEN / "three" / "r1.mcap", tmp_path / "r1.mcap")
+    shutil.copy(GOLDEN / "three" / "r2.mcap", tmp_path)
+    assert 'id="clock"' in report(tmp_path).read_text(encoding="utf-8")
+
+
+def test_recordings_without_notes_and_dives_by_the_systems_clock_say_nothing(tmp_path: Path) -> None:
+    source = GOLDEN / "three" / "r1.mcap"
+    about = info(source)
+    part = Part(tmp_path / "real.mcap")
+    part.start(about.run, about.attachments)
+    notes = RateNotes(SystemClock())
+    for record in read(source):
+        part.add(Entry(*record, "msgpack", {}))
+        for note in notes.due():
+            part.add(note)
+    part.finish("aucamp.end", {"cause": "clean"})
+    for path in (source, part.path):
+        page = report(path, tmp_path / "page.html").read_text(encoding="utf-8")
+        assert "real time" not in page
+        assert 'id="clock"' not in page
+    assert open_box(part.path).complete
+
+
+def told(page: str) -> str:
+    (line,) = re.findall(r"[\d.]+ s of dive in [^.]*\.\d+ s, [\d.]+ times real time \([\d.]+ to [\d.]+\)", page)
+    return line
+
+
+def told_of(path: Path) -> str:
+    moments = open_run(path).clock
+    dive_s = (moments[-1].now_ns - moments[0].now_ns) * 1e-9
+    wall_s = (moments[-1].noted.wall_ns - moments[0].noted.wall_ns) * 1e-9
+    assert dive_s == pytest.approx(15.5, abs=0.6)
+    assert 1.6 < dive_s / wall_s < 2.4
+    return f"{dive_s:.1f} s of dive in {wall_s:.1f} s, {dive_s / wall_s:.2f} times real time (1.60 to 2.40)"
+
+
+# @@ test_several_targets
+# A run about two targets: each has its own timeline, explanation, viewer channels and sections of the report.
+
+TWO = GOLDEN / "two"
+WHERE_M = {"ball": (0.55, 0.66, 0.07), "buoy": (0.92, 0.45, 0.05)}
+
+
+def test_a_timeline_is_about_one_target() -> None:
+    found = timelines(open_boxes([TWO]))
+    assert [(timeline.robot, timeline.target) for timeline in found] == [
+        (r, t) for r in ("r1", "r2", "r3") for t in WHERE_M
+    ]
+    for timeline in found:
+        where_m = WHERE_M[timeline.target]
+        assert {state.target for _, state in timeline.states} == {timeline.target}
+        assert math.dist(timeline.estimate[0], where_m) < 0.002
+        assert all(math.dist(x_m, where_m) < 0.05 for _, x_m in timeline.priors)
+        assert timeline.sweeps
+
+
+def test_an_explanation_names_both_and_mixes_neither() -> None:
+    ball, buoy = explain(TWO / "r2.mcap", "16s").split("\n\n")[1:]
+    assert (ball.splitlines()[0], buoy.splitlines()[0]) == ("target ball", "target buoy")
+    assert "Estimate: (549.9" in ball
+    assert "Estimate: (919." in buoy
+    assert "buoy:" not in ball
+
+
+def test_viewers_get_a_channel_for_each_target() -> None:
+    box = open_boxes([TWO / "r1.mcap"])[0]
+    derive = ViewerChannels(box.fleet, "r1")
+    channels = {
+        made.channel for record in read(box.path) if record.channel == STEP_OUT.name for made in derive(entry(record))
+    }
+    for target in WHERE_M:
+        for name in (f"/r1/target/{target}/estimate", f"/r1/plot/protocol/{target}", f"/r1/plot/hears/r2/{target}"):
+            assert name in channels
+    assert "/r1/target/estimate" not in channels
+
+
+def entry(record):
+    return Entry(
+        record.channel, record.log_time_ns, record.publish_time_ns, record.sequence, record.data, "msgpack", {}
+    )
+
+
+def test_the_report_shows_each_target(tmp_path: Path) -> None:
+    page = report(Path(shutil.copy(TWO / "r3.mcap", tmp_path))).read_text()
+    for target in WHERE_M:
+        assert f"r3, {target}" in page

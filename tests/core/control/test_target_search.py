@@ -1,0 +1,101 @@
+"""A gimbal that was turned away on purpose comes back at once, and what was learnt of the target is kept."""
+
+import pytest
+
+from agent.core.attitude import Attitude
+from agent.core.control.target_search import LOST_NS, PATIENCE, TURN, Seek, TargetScheduler
+from agent.core.ranging.camera_model import look_at
+from agent.core.step_io import Sighting
+from tests.capabilities.swim.swimming_agent import CALIBRATION, POSE, fleet
+
+LEVEL, START_NS, STEP_NS = Attitude(0.3, 0.0, 0.0), 10**18, 50_000_000
+TOLD_M = (1.7, 1.5, 0.2)  # where others say that the ball is
+
+
+@pytest.fixture
+def seek():
+    of = fleet()
+    seek = Seek(of, of.robot["r1"], CALIBRATION)
+    seek.act(START_NS, "ball", LEVEL, TOLD_M, True)
+    return seek
+
+
+def act(seek, now_ns, told_m=TOLD_M):
+    return seek.act(now_ns, "ball", LEVEL, told_m, True)
+
+
+def test_it_waits_before_it_believes_that_a_target_is_lost(seek) -> None:
+    goal_us, now_ns = seek.pointing.goal_us, seek.pointing.steady_from_ns
+    act(seek, now_ns + LOST_NS)
+    assert seek.pointing.goal_us == goal_us
+    act(seek, now_ns + LOST_NS + STEP_NS)
+    assert seek.pointing.goal_us != goal_us
+
+
+def test_after_a_look_elsewhere_it_turns_to_the_target_at_once(seek) -> None:
+    now_ns = seek.pointing.steady_from_ns + STEP_NS
+    seek.add_sighting(
+        Sighting(t_ns=now_ns, frame=1, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0)
+    )
+    plan = act(seek, now_ns)
+    for index, lens in enumerate(plan.focus[1:], start=1):  # a peak at 300
+        clarity = 1.0 / (1.0 + ((lens - 300.0) / 60.0) ** 2)
+        now_ns += STEP_NS
+        seen = Sighting(
+            t_ns=now_ns, frame=1 + index, sweep=plan.sweep, index=index, focus=lens, target="ball", found=True,
+            centre_px=(320.0, 240.0), radius_px=40.0, clarity=clarity, area_px=2000.0,
+        )  # fmt: skip
+        seek.add_sighting(seen)
+    assert seek.finish(now_ns) is not None
+    seek.look(-60.0, 0.0, now_ns)
+    away_us, now_ns = seek.pointing.goal_us, now_ns + STEP_NS  # on its way still
+    act(seek, now_ns)
+    assert seek.pointing.goal_us != away_us
+    pan_deg, _ = look_at(TOLD_M, POSE, fleet().body, *LEVEL, fleet().tank.surface_m)
+    assert seek.gimbal_deg()[0] == pytest.approx(pan_deg, abs=0.2)
+    now_ns = seek.pointing.steady_from_ns + STEP_NS
+    seek.add_sighting(
+        Sighting(t_ns=now_ns, frame=99, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0)
+    )
+    again = act(seek, now_ns)
+    assert len(again.focus) < len(plan.focus)  # it looks around the peak that it knows
+
+
+# @@ test_target_scheduler
+# TargetScheduler of the camera: robots that share an index agree on whose turn it is, and nobody starves.
+
+THREE = ("ball", "buoy", "fish")
+
+
+def test_one_target_has_every_turn() -> None:
+    turns = TargetScheduler(("ball",))
+    assert {turns.next({"ball": t}) for t in range(50)} == {"ball"}
+
+
+def test_each_has_its_turn_in_the_order_of_the_fleet_file() -> None:
+    turns, t, seen = TargetScheduler(THREE), dict.fromkeys(THREE, 0), []
+    for _ in range(2 * len(THREE) * TURN):
+        t[turns.target] += 1
+        seen.append(turns.target)
+        turns.next(t)
+    assert seen == [name for _ in range(2) for name in THREE for _ in range(TURN)]
+
+
+def test_a_restarted_robot_joins_the_turn_of_the_others() -> None:
+    turns = TargetScheduler(THREE)
+    t = {"ball": 3 * TURN, "buoy": 2 * TURN + 2, "fish": 2 * TURN}  # after its first iteration, indices adopted
+    assert turns.next(t) == "fish"
+    turns = TargetScheduler(THREE)
+    assert turns.next({**t, "fish": 3 * TURN}) == "buoy"
+    assert turns.next({**t, "fish": 3 * TURN, "buoy": 3 * TURN - 1}) == "buoy"
+    assert turns.next({**t, "fish": 3 * TURN, "buoy": 3 * TURN}) == "ball"
+
+
+def test_a_target_whose_index_others_drive_is_looked_at_all_the_same() -> None:
+    turns, t, waited, longest = TargetScheduler(THREE), dict.fromkeys(THREE, 0), 0, 0
+    for _ in range(200):
+        t["buoy"] += 3  # by a neighbour that knows nothing else
+        t[turns.target] += 1
+        waited = 0 if turns.next(t) == "buoy" else waited + 1
+        longest = max(longest, waited)
+    assert longest <= (PATIENCE * len(THREE) + 1) * TURN

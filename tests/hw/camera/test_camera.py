@@ -1,0 +1,337 @@
+"""One contract, every backend: what an agent relies on, whatever is behind the camera."""
+
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import NamedTuple
+
+import cv2
+import numpy as np
+import pytest
+
+from hw.camera.camera import Camera, CameraError, CameraGone, FocusRange, Image, Roi, deliverable, nearest
+from hw.camera.files import open_stack, open_video
+from hw.camera.frame_socket import FrameServer
+from hw.camera.open import open_camera
+from tests.hw.camera.fake_v4l2 import FakeComputer, scene, through_yuyv
+
+SIZE = (96, 64)
+NOWHERE = Path("/nonexistent")
+
+
+class Rig(NamedTuple):
+    """A device that a camera can be opened on, and what can be done to it."""
+
+    open: Callable[[], Camera]
+    pull: Callable[[], None]  # whatever takes this kind of camera away
+    plug: Callable[[], None]
+    picture: Callable[[int], Image]  # what it shows at a lens position
+    clock_ns: Callable[[], int] | None = None  # of its stamps, where it tells the time
+
+
+def twin_rig(tmp_path, source, closing):
+    servers = []
+
+    def plug():
+        servers.append(closing(FrameServer(tmp_path / "r1.camera", source)))
+        servers[-1].start()
+
+    plug()
+    return Rig(
+        lambda: open_camera("twin:r1", tmp_path, SIZE), lambda: servers[-1].close(), plug, scene, time.monotonic_ns
+    )
+
+
+def file_rig(kind, path):
+    away = path.with_name(f"{path.name}.away")
+    return Rig(
+        lambda: open_camera(f"{kind}:{path}", NOWHERE, SIZE),
+        lambda: path.rename(away) and None,
+        lambda: away.rename(path) and None,
+        scene,
+    )
+
+
+def v4l2_rig():
+    computer = FakeComputer()
+    return Rig(
+        computer.open,
+        computer.pull,
+        computer.plug,
+        lambda lens_position: through_yuyv(scene(lens_position)),
+        computer.clock,
+    )
+
+
+@pytest.fixture(params=["twin", "stack", "video", "v4l2"])
+def rig(request, closing, tmp_path):
+    if request.param == "twin":
+        return twin_rig(tmp_path, request.getfixturevalue("source"), closing)
+    if request.param == "v4l2":
+        return v4l2_rig()
+    return file_rig(request.param, request.getfixturevalue(request.param))
+
+
+@pytest.fixture
+def camera(rig, closing):
+    return closing(rig.open())
+
+
+class TestEveryCamera:
+    def test_full_frame(self, camera):
+        frame = camera.read()
+        assert camera.size == SIZE
+        assert frame.roi == Roi(0, 0, *SIZE)
+        assert frame.image.shape == (64, 96, 3) and frame.image.dtype == np.uint8
+
+    def test_time_and_number_go_on(self, camera):
+        frames = [camera.read() for _ in range(3)]
+        assert frames[0].seq < frames[1].seq < frames[2].seq
+        assert frames[0].t_ns < frames[1].t_ns < frames[2].t_ns
+
+    def test_a_region_is_that_part_of_the_frame(self, camera):
+        whole = camera.read().image
+        frame = camera.read(Roi(10, 17, 30, 20))
+        assert frame.roi == Roi(8, 16, 32, 24)
+        assert np.array_equal(frame.image, whole[16:40, 8:40])
+
+    def test_a_region_over_the_border_is_cut(self, camera):
+        assert camera.read(Roi(-5, 50, 500, 500)).roi == Roi(0, 48, 96, 16)
+
+    def test_a_region_outside_is_refused_and_the_camera_goes_on(self, camera):
+        with pytest.raises(CameraError, match="region"):
+            camera.read(Roi(200, 0, 10, 10))
+        assert camera.read().image.shape == (64, 96, 3)
+
+    def test_frames_belong_to_the_caller(self, camera):
+        first = camera.read(Roi(0, 0, 16, 16))
+        kept = first.image.copy()
+        first.image[:] = 255
+        assert np.array_equal(camera.read(Roi(0, 0, 16, 16)).image, kept)
+
+    def test_focus(self, rig, camera):
+        focus = camera.focus_range()
+        if focus is None:
+            with pytest.raises(CameraError, match="cannot be set"):
+                camera.set_focus(0)
+            return
+        for wanted in (focus.lowest, focus.lowest + focus.step, focus.highest):
+            assert camera.set_focus(wanted) == wanted
+            assert np.array_equal(camera.read().image, rig.picture(wanted))
+
+    def test_positions_between_the_steps_of_the_lens_are_the_nearest(self, camera):
+        focus = camera.focus_range()
+        if focus is None:
+            pytest.skip("no focus")
+        for wanted in range(focus.lowest, focus.highest + 1):
+            reported = camera.set_focus(wanted)
+            assert (reported - focus.lowest) % focus.step == 0 and abs(reported - wanted) <= focus.step / 2
+
+    def test_a_frame_is_exposed_after_it_was_asked_for(self, rig, camera):
+        if rig.clock_ns is None:
+            pytest.skip("nothing moves")
+        for _ in range(3):
+            asked_ns = rig.clock_ns()
+            assert asked_ns <= camera.read().t_ns <= rig.clock_ns()
+
+    def test_focus_outside_the_range_is_its_end(self, camera):
+        focus = camera.focus_range()
+        if focus is None:
+            pytest.skip("no focus")
+        assert camera.set_focus(focus.lowest - 1000) == focus.lowest
+        assert camera.set_focus(focus.highest + 1000) == focus.highest
+
+
+class TestEveryCameraThatGoesAway:
+    def test_reading_on_ends_in_one_line(self, rig, camera):
+        camera.read()
+        rig.pull()
+        with pytest.raises(CameraError) as lost:
+            read_on(camera)
+        assert "\n" not in str(lost.value)
+
+    def test_it_cannot_be_opened_and_can_when_it_is_back(self, rig):
+        camera = rig.open()
+        camera.read()
+        rig.pull()
+        camera.close()
+        with pytest.raises(CameraError) as lost:
+            rig.open()
+        assert "\n" not in str(lost.value)
+        rig.plug()
+        again = rig.open()
+        focus = again.focus_range()
+        if focus is not None:
+            assert again.set_focus(focus.highest) == focus.highest
+            assert np.array_equal(again.read().image, rig.picture(focus.highest))
+        assert again.read().roi == Roi(0, 0, *SIZE)
+        again.close()
+
+    def test_closing_it_then_is_no_error(self, rig):
+        camera = rig.open()
+        rig.pull()
+        camera.close()
+        camera.close()
+
+
+def read_on(camera):
+    """Read through all lens positions, and beyond the end of a video."""
+    focus = camera.focus_range()
+    for k in range(20):
+        if focus is not None:
+            camera.set_focus(min(focus.lowest + k * focus.step, focus.highest))
+        camera.read()
+
+
+@pytest.mark.parametrize("url", ["webcam:0", "twin", "stack:", "/dev/video0", ""])
+def test_an_address_of_no_kind_names_the_kinds(url):
+    with pytest.raises(CameraError) as caught:
+        open_camera(url, NOWHERE, SIZE)
+    assert all(f"{scheme}:" in str(caught.value) for scheme in ("twin", "stack", "video", "v4l2"))
+    assert "\n" not in str(caught.value)
+
+
+def test_another_size_than_calibrated_is_refused(stack):
+    with pytest.raises(CameraError, match="96x64 pixels, not 640x480"):
+        open_camera(f"stack:{stack}", NOWHERE, (640, 480))
+
+
+def test_nobody_there(tmp_path):
+    with pytest.raises(CameraGone, match="no twin serves"):
+        open_camera("twin:r1", tmp_path, SIZE)
+    with pytest.raises(CameraError, match="cannot be opened"):
+        open_camera("v4l2:/dev/video_that_is_not", NOWHERE, SIZE)
+
+
+def test_a_twin_address_may_be_a_path(tmp_path, source, closing):
+    server = FrameServer(tmp_path / "cam.sock", source)
+    server.start()
+    closing(server)
+    assert closing(open_camera(f"twin:{tmp_path}/cam.sock", NOWHERE, None)).size == SIZE
+
+
+def test_nearest_position_that_the_lens_can_take():
+    focus = FocusRange(3, 252, 5)
+    assert [nearest(wanted, focus) for wanted in (-9, 5, 6, 250, 252, 999)] == [3, 3, 8, 248, 252, 252]
+
+
+def test_delivered_region_holds_what_was_asked_for():
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        x, y = rng.integers(-50, 120, 2)
+        width, height = rng.integers(1, 120, 2)
+        inside = max(x, 0) < min(x + width, 100) and max(y, 0) < min(y + height, 70)
+        if not inside:
+            with pytest.raises(CameraError):
+                deliverable(Roi(x, y, width, height), (100, 70))
+            continue
+        roi = deliverable(Roi(x, y, width, height), (100, 70))
+        assert 0 <= roi.x <= max(x, 0) and min(x + width, 100) <= roi.x + roi.width <= 100
+        assert 0 <= roi.y <= max(y, 0) and min(y + height, 70) <= roi.y + roi.height <= 70
+        assert roi.width - width < 16 and roi.height - height < 16
+
+
+# @@ test_camera_files
+# Photographs and videos as cameras; whatever a user can get wrong about them is one line.
+
+
+def test_lens_positions_are_the_photographs_in_order_of_focus(stack):
+    camera = open_stack(stack)
+    assert camera.positions == pytest.approx([-0.2, -0.1, 0.0, 0.1, 0.2])
+    assert camera.focus_range() == (0, 4, 1)
+    assert camera.set_focus(3) == 3
+    assert camera.read().image[0, 0, 2] == 24  # the scene's red tells the position, 8 each
+
+
+def test_grey_photographs_come_in_three_channels(tmp_path):
+    rows = ["file,focus_position"]
+    for index in range(3):
+        cv2.imwrite(str(tmp_path / f"{index}.png"), np.full((16, 24), 50 * index, np.uint8))
+        rows.append(f"{index}.png,{index}")
+    (tmp_path / "positions.csv").write_text("\ufeff" + "\r\n".join(rows), encoding="utf-8")  # as spreadsheets write it
+    camera = open_stack(tmp_path)
+    camera.set_focus(2)
+    assert np.array_equal(camera.read().image, np.full((16, 24, 3), 100, np.uint8))
+
+
+def test_a_directory_that_is_not_there(tmp_path):
+    with pytest.raises(CameraError, match="no such directory"):
+        open_stack(tmp_path / "none")
+
+
+def test_without_positions_the_columns_are_named(stack):
+    (stack / "positions.csv").unlink()
+    with pytest.raises(CameraError, match=r"positions\.csv is missing; .* file,focus_position"):
+        open_stack(stack)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "no column file and focus_position"),
+        ("file,focus\n0.png,1\n", "no column focus_position"),
+        ("file,focus_position\n0.png,1\n1.png,far\n2.png,3\n", "line 3: focus_position 'far'"),
+        ("file,focus_position\n0.png,1\n1.png,nan\n2.png,3\n", "line 3: focus_position 'nan'"),
+        ("file,focus_position\n0.png,1\n1.png\n2.png,3\n", "line 3: focus_position ''"),
+        ("file,focus_position\n0.png,1\n9.png,2\n2.png,3\n", "line 3: there is no file '9.png'"),
+        ("file,focus_position\n0.png,1\n,2\n2.png,3\n", "line 3: there is no file ''"),
+        ("file,focus_position\n0.png,1\n1.png,2\n", "2 photographs"),
+        ("file,focus_position\n0.png,1\n1.png,2\n2.png,1.0\n", "0.png and 2.png have the same focus_position"),
+    ],
+)
+def test_positions_that_cannot_be_used(stack, text, says):
+    (stack / "positions.csv").write_text(text)
+    with pytest.raises(CameraError) as caught:
+        open_stack(stack)
+    assert says in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_positions_that_are_no_text(stack):
+    (stack / "positions.csv").write_bytes(b"\xff\xfe\x00\x01")
+    with pytest.raises(CameraError, match="cannot be read as CSV"):
+        open_stack(stack)
+
+
+def test_a_corrupt_photograph(stack):
+    whole = (stack / "2.png").read_bytes()
+    (stack / "2.png").write_bytes(whole[: len(whole) // 2])
+    camera = open_stack(stack)
+    camera.set_focus(2)
+    with pytest.raises(CameraError, match=r"2\.png: not an image"):
+        camera.read()
+    camera.set_focus(3)
+    assert camera.read().image.shape == (64, 96, 3)
+
+
+def test_a_photograph_that_has_gone_and_is_back(stack):
+    camera = open_stack(stack)
+    camera.set_focus(2)
+    (stack / "2.png").rename(stack / "away.png")
+    with pytest.raises(CameraGone, match=r"2\.png: the photograph has gone"):
+        camera.read()
+    (stack / "away.png").rename(stack / "2.png")
+    assert camera.read().image[0, 0, 2] == 16
+
+
+def test_a_photograph_of_another_size(stack):
+    cv2.imwrite(str(stack / "3.png"), np.zeros((10, 20, 3), np.uint8))
+    camera = open_stack(stack)
+    camera.set_focus(3)
+    with pytest.raises(CameraError, match=r"3\.png: 20x10 pixels, but 0\.png has 96x64"):
+        camera.read()
+
+
+def test_video_time_is_the_files_and_ends_with_it(video):
+    camera = open_video(video)
+    assert [camera.read().t_ns for _ in range(8)] == [40_000_000 * n for n in range(8)]
+    with pytest.raises(CameraGone, match="end of the video after 8 frames"):
+        camera.read()
+    camera.close()
+
+
+def test_what_is_no_video(tmp_path):
+    with pytest.raises(CameraError, match="no such file"):
+        open_video(tmp_path / "none.mp4")
+    (tmp_path / "text.mp4").write_text("not a video")
+    with pytest.raises(CameraError, match="not a video"):
+        open_video(tmp_path / "text.mp4")
