@@ -1,0 +1,1 @@
+"""One robot's agent, and all that people run around it: the package of the command line `aucamp`."""

@@ -1,0 +1,1 @@
+"""Recordings: the recorders, what happened in words, exports, and whole sweeps for reconstruction."""

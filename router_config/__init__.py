@@ -1,1 +1,1 @@
-"""Zenoh sessions: base settings as data, what differs from process to process laid over them, and the one door."""
+"""Zenoh sessions: base settings as data, what each process lays over them, access rules, and the session itself."""

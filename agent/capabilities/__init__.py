@@ -1,0 +1,1 @@
+"""What a robot can do beside measuring targets, a folder each: swim, light, survey."""

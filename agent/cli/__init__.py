@@ -1,0 +1,1 @@
+"""The commands of `aucamp`: options in, one call out."""

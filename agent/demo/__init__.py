@@ -1,1 +1,1 @@
-"""A dive of the twin's, with nothing but this computer: its fleet, its processes, what is shown and summed up."""
+"""`aucamp demo`: a whole dive in the twin on this computer, its processes, what is shown and what it was worth."""

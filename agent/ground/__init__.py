@@ -1,1 +1,1 @@
-"""For the people in charge of a running fleet."""
+"""For the people in charge of a fleet: orders, checks before a dive, doctor, keys, pictures and recordings."""

@@ -1,1 +1,1 @@
-"""Scenes in three dimensions from recordings: views, their fusion into a surface, what other programs read of it."""
+"""Scenes in three dimensions from recordings: poses, surface, image model, and files for other programs."""

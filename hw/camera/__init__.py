@@ -1,1 +1,1 @@
-"""Cameras whose focus can be set: one protocol, one backend for each kind of address."""
+"""Cameras whose focus can be set: one protocol, and a backend for each kind of address."""

@@ -1,1 +1,1 @@
-"""The control module at the end of the tether, as its host sees it."""
+"""The control module as its host sees it: the port's thread, the conversation, and the switch for motors."""

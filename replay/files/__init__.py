@@ -1,1 +1,1 @@
-"""Recordings as files: written, read, mended."""
+"""Recordings as MCAP files: their channels, and how they are written, read and mended."""

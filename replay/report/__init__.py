@@ -1,1 +1,1 @@
-"""A run on one page."""
+"""A run on one page: what came of it, its tables and its figures."""

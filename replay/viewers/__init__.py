@@ -1,1 +1,1 @@
-"""Recordings and running fleets as other people's viewers want them."""
+"""Recordings and running fleets as Foxglove and Rerun draw them."""

@@ -1,0 +1,1 @@
+"""Gimbal and lens: where the camera points, how it searches for a target, and when it sweeps the focus."""

@@ -1,0 +1,1 @@
+"""Protocols of agreement: own measurements and neighbours' messages become one posterior of a target."""

@@ -1,1 +1,1 @@
-"""Protocols of agreement against the Cramér-Rao bound."""
+"""Protocols of agreement against the Cramér-Rao bound, and against robots that lie."""

@@ -1,1 +1,1 @@
-"""How well a robot that swims knows where it is, and does what it is told to."""
+"""How well a robot that swims knows its pose, and does what it is told."""

@@ -1,1 +1,1 @@
-"""Running fleets for programs that speak other languages: translations, each with a process of its own."""
+"""A running fleet for programs that speak MAVLink, ROS 2 or keelson."""

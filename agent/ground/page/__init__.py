@@ -1,1 +1,1 @@
-"""The operator's page: a fleet, live or recorded, in a browser on this machine."""
+"""The operator's page: a fleet, live or recorded, in a browser, and the orders that its buttons give."""

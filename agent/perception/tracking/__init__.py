@@ -1,1 +1,1 @@
-"""A target followed from frame to frame in a box."""
+"""A thing in a box followed from frame to frame: where it is, whether it is lost, and where it is found again."""

@@ -1,1 +1,1 @@
-"""What a lens under water throws on a sensor."""
+"""What a camera under water sees: rays, light, lamps and their veil, lens and sensor."""

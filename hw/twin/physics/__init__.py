@@ -1,1 +1,1 @@
-"""Bodies in water: forces, sensors, thrusters, the tank's walls."""
+"""Bodies in water: forces, thrusters, sensors, and the tank's walls."""
