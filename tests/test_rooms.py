@@ -18,7 +18,6 @@ SMALL_LINES = 60
 # A file of its own for less than that is a seam: other code, or another interpreter, takes it alone.
 SMALL = {
     "agent/clock/machine.py": "the one import of `time`: tests and import contracts name it",
-    "agent/cli/options.py": "options that all files of commands declare",
     "hw/board_files.py": "a program: python -m hw.board_files",
     "hw/camera/open.py": "the table of camera backends, which import the protocol that a backend imports",
 }
