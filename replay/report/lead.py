@@ -81,7 +81,7 @@ def _end(run: Run, timeline: RobotTimeline, way: Path3 | None) -> End:
 
 EARLY_S = 3.0  # before the last one: that early a robot ended, or fell silent, as on the page
 LOUD = ("warning", "error")  # levels of the log
-ORDERED = " orders: "  # agent.kernel.desk: what people ordered is no trouble
+ORDERED = " orders: "  # agent.robot.operator: what people ordered is no trouble
 SWEEP = "sweep"  # that one comes to nothing is no trouble: the next one follows
 OVER = "over: "  # agent.core.status: the end of a fault
 
