@@ -2,7 +2,7 @@
 
 A second filter has all that the own one has, and the place of a target at rest in its state, by this robot's own
 sightings alone. What the others say of that place, (x, C) with nothing of this robot in it, is not told to the filter
-but compared with it whenever somebody asks:
+but compared with it whenever the aided pose is asked for:
 
     S = P_tt + C + D + J B J' ;  K = P_xt S^-1 ;  x += K (x_others - x_t) ;  P -= K S K'
 
@@ -106,7 +106,7 @@ class Aid(Revertible):
 
     def at(self, own: Belief, others: Posterior | None) -> Belief | None:
         """The aided pose at the time of the own one; None where there is none, or the own one needs no aid any more."""
-        if others is None:  # the target has moved, or nobody else sees it
+        if others is None:  # the target has moved, or no other robot sees it
             self._forget()
         if self._ring is None or others is None:
             return None

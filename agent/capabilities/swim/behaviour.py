@@ -2,6 +2,8 @@
 
 A behaviour starts with `start`, and is asked for its `reference` at each step. Yaw is counted from where the robot was
 put into the water, over all turns, and kept within one turn either way: the tether would wind up.
+
+First come the two behaviours that are longest, to follow a target and the trial; then all of them together.
 """
 
 from __future__ import annotations
@@ -26,8 +28,9 @@ from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
 from agent.core.target_state import TargetEstimate
 
-# @@ follow
-# Keep a distance from a target that may move: which place around it, how fast there, and which way to face.
+# --- follow a target ---
+# A robot keeps a distance from a target that may move: it decides on a place around it, how fast to go there, and
+# which way to face.
 #
 # Each robot decides for itself. With th the bearing from the target to the robot, th_j that to another of the n that
 # follow it, and g = wrap(th - th_j):
@@ -61,7 +64,7 @@ class Pursuit(NamedTuple):
 
 
 def knows(what: Follow, around: Surroundings, now_ns: int) -> bool:
-    """Whether there is anything to follow: somebody saw it of late, and it is clear on which side it is."""
+    """Whether there is anything to follow: a robot saw it of late, and it is clear on which side it is."""
     target = around.target
     return target is not None and known(target, now_ns) and target.sigma_m < what.standoff_m
 
@@ -143,13 +146,13 @@ def _bearing(from_m: Planar, to_m: Planar) -> float:
     return math.atan2(to_m[1] - from_m[1], to_m[0] - from_m[0])
 
 
-# @@ trial
-# What a robot swims so that its mass and drag can be read from the recording: two speeds, two turns, and coasts.
+# --- trial for mass and drag ---
+# A robot swims a trial so that its mass and drag can be read from the recording: two speeds, two turns, and coasts.
 #
 # Legs along a line, first ahead and astern, then sideways; then turns on the spot. Each leg is an approach, a run at
 # one speed, and, from the middle on, a coast without any force: what slows it down then is drag alone.
 
-TRIAL_NEAR_M, NEAR_RAD = 0.05, math.radians(5.0)  # of where a leg begins; nobody has to be there exactly
+TRIAL_NEAR_M, NEAR_RAD = 0.05, math.radians(5.0)  # of where a leg begins; a robot need not be there exactly
 APPROACH_NS, RUN_NS, COAST_NS = 12_000_000_000, 9_000_000_000, 3_000_000_000  # at most; at most; always
 QUARTER = 0.5 * math.pi  # of a turn, over which a turn runs
 
@@ -240,7 +243,7 @@ def _along(what: Trial, pose: Vector) -> float:
     return (pose[0] - what.x_m) * math.cos(heading) + (pose[1] - what.y_m) * math.sin(heading)
 
 
-# @@ behaviour
+# --- all behaviours ---
 
 THERE_M, THERE_RAD, THERE_NS = 0.02, math.radians(2.0), 1_000_000_000  # arrived: so near, for so long
 NEAR_M = 0.10  # to the goal: the way has no direction any more
@@ -261,7 +264,7 @@ class Progress(NamedTuple):
     there_ns: int | None = None  # since when it is where it shall be
     stage: Stage = Stage()  # of a trial
     pursuit: Pursuit | None = None  # of a target that is followed
-    hunt: Hunt = Hunt()  # for one that nobody knows
+    hunt: Hunt = Hunt()  # for a target that is not known
 
 
 def start(pose: Vector, turned: float, now_ns: int, to: Vector | None = None) -> Progress:
@@ -282,7 +285,8 @@ def reference(
 ) -> tuple[Reference, Progress]:
     """Where the robot shall be now. watched_m: the target, which Goto faces unless it was given a yaw. Hold turns off
     its yaw as far as the gimbal needs, to keep the target in sight: the gimbal first, then the body. around: what
-    Follow and Search go by. tank_m: length and breadth; who is free to choose looks at no near wall.
+    Follow and Search go by. tank_m: length and breadth; a robot that is free to choose its
+    yaw looks at no near wall.
     """
     turned = progress.turned + wrap(pose[2] - progress.heading)
     progress = progress._replace(turned=turned, heading=pose[2])
@@ -312,8 +316,8 @@ def reference(
 
 
 def effective(what: Behaviour, hunt: Hunt, around: Surroundings | None, now_ns: int) -> Behaviour:
-    """What is done: Follow searches for a target that nobody knows, where it is told to, and else holds; Search holds
-    once it is done."""
+    """What is in effect: Follow searches for a target that no robot knows, where it is told to, and else holds; Search
+    holds once it is done."""
     if isinstance(what, Follow) and around is not None and not knows(what, around, now_ns):
         what = Search(target=what.target) if what.search else Hold()
     if isinstance(what, Search) and around is not None and hunt.over(around, now_ns):
@@ -386,7 +390,7 @@ def _on_orbit(what: Orbit, progress: Progress, now_ns: int) -> Reference:
 
 
 def _to_and_fro(way: float, lowest: float, highest: float) -> tuple[float, float]:
-    """Where somebody is after a way from 0 who turns round at both ends, and whether he goes as he set out: +1, -1."""
+    """Where a robot is after a way from 0 with turns at both ends, and whether it goes as it set out: +1, else -1."""
     if lowest <= way <= highest:
         return way, 1.0
     span = highest - lowest

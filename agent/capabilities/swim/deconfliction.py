@@ -31,19 +31,19 @@ from agent.core.step_transaction import Revertible
 from agent.core.topics import NEAR, next_due_ns
 from agent.core.trust import Letter, Letters
 
-# @@ neighbours
-# Where the neighbours of a robot that swims are, as they say, and whose camera is at landmarks.
-#
-# Nothing of it comes back in what the robot says itself: it steers by it, and that is all.
+# --- neighbours ---
 
 FASTEST_M_S = 2.0  # a robot that drops from a hand; none swims at a quarter of it
 OLDEST_NS = 1_000_000_000  # a place was that old, at most, when it was said
-LONGEST_NS = 2_000_000_000  # a claim on glancing ends by itself: who claimed may have lost its link
+LONGEST_NS = 2_000_000_000  # a claim on glancing ends by itself: the robot that claimed may have lost its link
 SILENT_NS = 3_000_000_000  # by then a robot may be a metre and more from where it was going
 
 
 class Neighbours(Revertible):
-    """Of one robot, between steps."""
+    """Where the neighbours of a robot that swims are, as they say, and whose camera is at landmarks; between steps.
+
+    The robot steers by it, and nothing of it comes back in what the robot says itself.
+    """
 
     def __init__(self, fleet: Fleet, me: str) -> None:
         assert fleet.navigation is not None
@@ -71,7 +71,7 @@ class Neighbours(Revertible):
         )
 
     def _in_tank(self, at_m: Planar) -> Planar:
-        """The nearest place where its ring touches no wall: who does not know where he is may believe to be in one."""
+        """The nearest place where its ring touches no wall: a robot that is lost may believe itself in one."""
         ring_m, (length_m, breadth_m, _) = 0.5 * RINGS_M, self._tank_m
         x, y = (min(max(at, ring_m), side - ring_m) for at, side in zip(at_m, (length_m, breadth_m), strict=True))
         return x, y
@@ -82,7 +82,7 @@ class Neighbours(Revertible):
         return tuple((said.x_m, said.y_m, said.depth_m) for said in heard if said.src not in but)
 
     def doing(self, behaviour: str, target: str, now_ns: int) -> tuple[Planar, ...]:
-        """Where those are that do the same about the same target, in the order of their names; silent ones left out."""
+        """Where robots are that do the same about the same target, in order of their names; silent ones left out."""
         letters = [e for e in self._heard() if now_ns - said_ns(e) <= SILENT_NS]
         return tuple(
             (said.x_m, said.y_m)
@@ -91,7 +91,7 @@ class Neighbours(Revertible):
         )
 
     def glancing(self, now_ns: int) -> tuple[str, ...]:
-        """Whose camera is at landmarks, by name."""
+        """Names of the robots whose camera is at landmarks."""
         claims_ns = {e.message.src: e.message.glance_until_ns - e.message.sent_ns for e in self._heard()}
         return tuple(
             e.message.src
@@ -100,7 +100,7 @@ class Neighbours(Revertible):
         )
 
     def faults(self, now_ns: int) -> tuple[str, ...]:
-        """Who is silent, and for people to look after."""
+        """Which neighbours are silent, for people to look after."""
         silent = (e.message.src for e in self._heard() if now_ns - said_ns(e) > SILENT_NS)
         return tuple(
             f"silent neighbour: {name} no longer says where it is, and is not approached; see to it" for name in silent
@@ -131,7 +131,7 @@ def content_fault(said: Presence, tank_m: Vector) -> str | None:
     return None
 
 
-# @@ company
+# --- keeping clear, taking turns, telling ---
 
 NEAR_NS = round(1e9 / NEAR.hz)
 CLAIM_NS = 500_000_000  # of looking at landmarks, said anew ten times a second
@@ -140,7 +140,7 @@ YIELD_NS = 500_000_000  # two that began at once have heard of it by now; the on
 
 
 class Company(Revertible):
-    """Of one robot, between steps."""
+    """What a robot that swims has to do with its neighbours, between steps."""
 
     def __init__(self, fleet: Fleet, name: str, incarnation: int) -> None:
         self._fleet, self._name, self._incarnation, self._tank_m = fleet.fleet, name, incarnation, fleet.tank.size_m
@@ -160,9 +160,8 @@ class Company(Revertible):
         return safe_velocity(wanted, at_m, spread_m2, self._tank_m, things, robots)
 
     def waits(self, here: Belief | None, looks: bool, now_ns: int) -> bool:
-        """Whether it leaves it to others to look for landmarks just now: a third of a fleet at a time, so that the
-        target is watched. Who is worse off than that a wait could be afforded looks. Asked in each step; looks: it
-        does."""
+        """Whether it leaves it to others to look for landmarks just now: a third of a fleet looks at a time, so that
+        the target is watched. A robot that is too unsure to wait looks. Asked in each step; looks: whether it does."""
         since_ns = self._looks_since_ns = (self._looks_since_ns or now_ns) if looks else None
         if here is None or direly_unsure(here):
             return False
@@ -208,19 +207,19 @@ class Company(Revertible):
             target=UNSET if about is None else about,
             glance_until_ns=now_ns + CLAIM_NS if looks else 0,
         )
-        if content_fault(said, self._tank_m) is not None:  # nobody would believe it
+        if content_fault(said, self._tank_m) is not None:  # no neighbour would believe it
             return ()
         return tuple(replace(said, dst=neighbour) for neighbour in self.neighbours.letters.senders)
 
 
 def direly_unsure(belief: Belief) -> bool:
-    """It has to look for landmarks at once, whoever else looks."""
+    """It has to look for landmarks at once, whichever others look."""
     return not within(belief, WAIT_WITHIN * UNSURE_M, WAIT_WITHIN * UNSURE_DEG)
 
 
 def pace(belief: Belief) -> float:
     """Share of its speed that a robot may swim and turn at: all of it until it is unsure of its place, nothing once it
-    is so unsure that it waits for nobody to look for landmarks. It would be lost while it swims, and then drift on; and
+    is so unsure that it no longer waits to look for landmarks. It would be lost while it swims, and then drift on; and
     a camera that is turned to where landmarks should be misses them while the body turns on."""
     place, yaw = sigmas(belief)
     worst = max(place / UNSURE_M, yaw / UNSURE_DEG)

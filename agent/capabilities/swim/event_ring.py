@@ -32,7 +32,7 @@ from agent.core.messages import Symmetric, Vector
 from agent.core.step_transaction import Revertible
 
 RING_NS = 800_000_000  # ten frames' worth of vision and a busy computer
-KEEP_NS = 6_000_000_000  # as long as telemetry is kept (control/attitude.py)
+KEEP_NS = 6_000_000_000  # as long as telemetry is kept (core/attitude.py)
 
 Kind = Literal["1 asked", "2 fix", "3 flow", "4 key", "5 rate", "6 sighting"]  # of one moment, in this order
 
@@ -57,7 +57,7 @@ def fix(t_ns: int, pose: Vector, fluctuates: Symmetric, stays: Symmetric) -> Eve
 
 
 def flow(t_ns: int, since_ns: int, moved: Vector, covariance: Symmetric) -> Event:
-    """Odometry since a key frame (planes.Moved)."""
+    """Odometry since a key frame (plane_odometry.Moved)."""
     return Event(t_ns, "3 flow", since_ns, (*moved, *covariance))
 
 
@@ -67,15 +67,15 @@ def rate(t_ns: int, rate_rad_s: float) -> Event:
 
 
 def sighting(t_ns: int, offset_m: Vector, noise_m2: Symmetric) -> Event:
-    """A target at rest was seen there (corrections.add_sighting)."""
+    """A target at rest was seen there (pose_filter.add_sighting)."""
     return Event(t_ns, "6 sighting", 0, (*offset_m, *noise_m2))
 
 
 class EventRing(Revertible):
     """The beliefs of one robot about itself over the last seconds.
 
-    What follows a late event is done again when somebody asks for it, so that several that come together, a fix and
-    the flow of its frame, cost one pass.
+    What follows a late event is done again when it is asked for, so that several that come together, a fix and the
+    flow of its frame, cost one pass.
     """
 
     def __init__(

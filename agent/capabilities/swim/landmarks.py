@@ -1,4 +1,5 @@
-"""Where the corners of landmarks are in the world, and how they move with the errors of a survey.
+"""Landmarks: where the corners of tags are in the world, and how they move with the errors of a survey; maps of tags in
+files; and where to turn the camera for tags.
 
 A face is looked at from the water, square on. On a wall up is up; on the floor, which is looked at from above, up is
 +y. Right is what is on the right hand then. A tag is upright where its own up is the face's; `turn_deg` turns it
@@ -73,11 +74,24 @@ def survey_jacobian(middle_m: Vector, corner_m: Vector) -> tuple[tuple[float, ..
     return (1.0, 0.0, 0.0, 0.0, z, -y), (0.0, 1.0, 0.0, -z, 0.0, x), (0.0, 0.0, 1.0, y, -x, 0.0)
 
 
+def normal(marker: Marker) -> Vector:
+    """The way a landmark faces: into the water, as long as its area, m^2."""
+    a, b, _, d = marker.corners_m
+    return cross(difference(b, a), difference(a, d))
+
+
+def facing(marker: Marker, from_m: Vector) -> float:
+    """Cosine between a landmark's normal and the way from it to a point."""
+    out, way = normal(marker), difference(from_m, marker.middle_m)
+    along = out[0] * way[0] + out[1] * way[1] + out[2] * way[2]
+    return along / max(math.hypot(*out) * math.hypot(*way), 1e-9)
+
+
 def _sum(p: float, a: Vector, q: float, b: Vector) -> Vector:
     return p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2]
 
 
-# @@ on_face
+# --- faces of the tank ---
 # A tag anywhere in space, as a fleet file says it: on which face of the tank it lies, and how it is turned there.
 
 LEAN_DEG = 10.0  # from its face: what leans more was put elsewhere
@@ -94,10 +108,10 @@ def on_face(
     lean_deg: float = LEAN_DEG,
 ) -> Tag | str:
     """The tag, its middle as it is; or why it lies on no wall or floor. right, up: its own, as seen, unit vectors."""
-    out = _cross(right, up)
-    face = max(SEEN, key=lambda one: _dot(out, _cross(*SEEN[one])))
+    out = cross(right, up)
+    face = max(SEEN, key=lambda one: _dot(out, cross(*SEEN[one])))
     seen_right, seen_up = SEEN[face]
-    leans_deg = math.degrees(math.acos(min(_dot(out, _cross(seen_right, seen_up)), 1.0)))
+    leans_deg = math.degrees(math.acos(min(_dot(out, cross(seen_right, seen_up)), 1.0)))
     if leans_deg > lean_deg:
         return f"tag {id} lies on no wall or floor: it leans from {face}, the nearest, by {leans_deg:.0f} degrees"
     axis, at_m = plane(face, tank)
@@ -119,16 +133,12 @@ def plane(face: Face, tank: Tank) -> tuple[int, float]:
     return axis, tank.size_m[axis] if face[1] == "1" else 0.0
 
 
-def _cross(a: Vector, b: Vector) -> Vector:
-    return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
-
-
 def _dot(a: Vector, b: Vector) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-# @@ layout_files
-# Maps of tags in files of their own: `[landmarks] file`, by a survey of ours, or as others write them.
+# --- map files ---
+# Maps of tags in files of their own: `[landmarks] file`, by `aucamp calibrate landmarks`, or as others write them.
 #
 # apriltag_ros (tags.yaml, its README): a bundle is a layout of tags in one frame; a tag's own axes are right, up and
 # out of it, as seen. WPILib (AprilTagFieldLayout): x out of the tag, y to the right as seen, z up; no size. Of either
@@ -303,28 +313,11 @@ def _axes(w: float, x: float, y: float, z: float, id: int, path: Path) -> tuple[
     )
 
 
-# @@ facing
-# Which way a landmark faces.
-
-
-def normal(marker: Marker) -> Vector:
-    """Into the water, as long as its area, m^2."""
-    a, b, _, d = marker.corners_m
-    return cross(difference(b, a), difference(a, d))
-
-
-def facing(marker: Marker, from_m: Vector) -> float:
-    """Cosine between a landmark's normal and the way from it to a point."""
-    out, way = normal(marker), difference(from_m, marker.middle_m)
-    along = out[0] * way[0] + out[1] * way[1] + out[2] * way[2]
-    return along / max(math.hypot(*out) * math.hypot(*way), 1e-9)
-
-
-# @@ glance
-# Where to turn the camera for landmarks, when it is time to find oneself.
+# --- looks for landmarks ---
+# Where to turn the camera for landmarks, when the robot is due to find out where it is.
 
 FAR_M = 2.0  # beyond, a tag of 8 cm is 20 px wide or hidden by the water
-CLEAR_M = 1.0  # in which murky water takes two thirds of the contrast; how murky it is, nobody says
+CLEAR_M = 1.0  # in which murky water takes two thirds of the contrast; how murky it is, is not known
 STEEP = 0.35  # cosine between a tag's normal and the way to it: beyond 70 degrees it is hardly found
 WAIT_NS = 700_000_000  # for fixes from the frames in a direction, gimbal at rest
 ENOUGH, TURN_DEG = 1.0, 60.0  # landmarks' worth for one fix; and so much of it is a turn by that angle, half a second
@@ -359,7 +352,7 @@ class Glance(Revertible):
         self._markers, self._body, self._surface_m, self._half_deg = tuple(markers), body, surface_m, half_deg
         self._step = 0
         self._way: tuple[float, float] | None = None  # of this step: a gimbal that is told another angle never rests
-        self._until_ns: int | None = None  # nobody knows while the gimbal is on its way
+        self._until_ns: int | None = None  # None while the gimbal is on its way
         self._blind = True  # the pose was not known
         self._looked_at: set[int] = set()  # landmarks that were in the pictures before
         self._empty, self._glimpsed = 0, False  # frames of this look without a landmark; one showed some
@@ -374,7 +367,7 @@ class Glance(Revertible):
         from_deg: tuple[float, float] | None = None,
     ) -> tuple[float, float]:
         """Pan and tilt to look at: where most landmarks are first; if that has not helped, where most others are. Of a
-        robot that knows too little for that: all around. Where frames show none, not for long: who is lost drifts
+        robot that knows too little for that: all around. Where frames show none, not for long: a lost robot drifts
         meanwhile. steady: whether the gimbal rests where it was told to look before. from_deg: where it looks, of one
         in a hurry: some landmarks near there are better than many elsewhere."""
         if (pose is None) != self._blind:  # other ways, from the first on, when this one has had its time

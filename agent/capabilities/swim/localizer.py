@@ -1,5 +1,6 @@
 """What a swimming robot knows of where it is, between steps: landmarks in, poses at any time of the last seconds out.
 
+The gyro's readings are checked first, and where the gimbal was told to point is remembered: both go into the pose.
 Until landmarks have said once where it is, it knows nothing: the fleet file's pose is where it shall be.
 """
 
@@ -41,7 +42,7 @@ from agent.core.ranging.fix import MEMORY_S, Fix, OwnPose, carried, kappa, longe
 from agent.core.step_io import Flow, SeenTags, Telemetry
 from agent.core.step_transaction import Revertible
 
-# @@ gyro
+# --- gyro ---
 # Whether a module's gyro can be believed: what it says is checked before it becomes a measurement.
 #
 # A gyro that works is never still: its noise is a few of the wire's steps, so that a value which comes again and
@@ -101,13 +102,13 @@ class Gyro(Revertible):
         return f"gyro: {self._wrong}"
 
 
-# @@ gimbal_log
+# --- commanded gimbal history ---
 # Where the camera's gimbal pointed at a given time of the last seconds, and how sure that is.
 #
 # Tags tell the camera's heading whatever the gimbal does, so a frame that was exposed while the gimbal settles says
 # as well as any where the robot is, and its yaw as well as the gimbal is known. Servos do not say where they are:
-# what counts is when they were told (control/pointing.py), first to a little below the goal, then to the goal; or
-# each step to another angle (control/servo_path.py).
+# what counts is when they were told (pointing.Pointing), first to a little below the goal, then to the goal; or each
+# step to another angle (pointing.ServoPath).
 
 TURNS = 16  # that are remembered: more than a key frame's four seconds hold
 REST_NS = 250_000_000  # after the last leg, which is short and takes up the play. (A sweep waits longer, for the body.)
@@ -175,7 +176,7 @@ class GimbalLog(Revertible):
         return Gimbal(gimbal_deg(self._camera, self._body, (pan_us, tilt_us)), t_ns >= turn.leg_ns + REST_NS)
 
 
-# @@ localizer
+# --- localizer ---
 
 STILL: Wrench = (*AT_REST, 0.0)
 UNSURE_M, UNSURE_DEG = 0.03, 3.0  # beyond this it is worth a look at landmarks
@@ -304,7 +305,7 @@ class Localizer(Revertible):
         return True
 
     def sight(self, target: str, seen: Fix, known: tuple[Belief, OwnPose], filtered: Prior, now_ns: int) -> None:
-        """A target was measured. known: of_sample(); seen: from there, that pose taken for exact (own_pose.EXACT);
+        """A target was measured. known: of_sample(); seen: from there, that pose taken for exact (fix.EXACT);
         filtered: with what that pose has wrong in it."""
         there, own = known
         offset = offset_m(there.pose, seen.position_m)
@@ -352,7 +353,7 @@ class Localizer(Revertible):
             self._fixes_ns.popleft()
 
     def at(self, t_ns: int) -> Belief | None:
-        """Where it was or is; None: nobody knows."""
+        """Where it was or is; None: it is not known."""
         return None if self._ring is None else self._ring.at(t_ns)
 
     @property
@@ -366,7 +367,7 @@ class Localizer(Revertible):
         return () if self._ring is None else self._ring.events
 
     def shown(self, now_ns: int) -> Whereabouts | None:
-        """For whoever looks: with what stays the same in every fix. None where it is lost."""
+        """For telemetry: with what stays the same in every fix. None where it is lost."""
         here = self.at(now_ns)
         if here is None or not within(here, LOST_M, LOST_DEG):
             return None
@@ -381,7 +382,7 @@ class Localizer(Revertible):
         )
 
     def of_sample(self, t_ns: int, now_ns: int) -> tuple[Belief, OwnPose] | None:
-        """Where it was when a target was measured, and how well it knew; None: not well enough to tell anybody."""
+        """Where it was when a target was measured, and how well it knew; None: not well enough to tell others."""
         there = self.at(t_ns)
         if there is None or not within(there, LOST_M, LOST_DEG):
             return None
@@ -418,7 +419,8 @@ def adrift(belief: Belief) -> bool:
 def foresees(belief: Belief, away_s: float = AWAY_S) -> bool:
     """Whether it will not be unsure after a turn of its camera: it knows how it moves, and what pushes it.
 
-    Who was just found by one frame or two knows neither; with no landmark in sight it would swim where chance has it.
+    A robot that was just found by one frame or two knows neither; with no landmark in sight it would swim where chance
+    has it.
     """
     xx, yy, pp = (_variance_ahead(belief, i, away_s) for i in range(3))
     return xx + yy <= UNSURE_M * UNSURE_M and pp <= math.radians(UNSURE_DEG) ** 2

@@ -1,6 +1,8 @@
-"""Force and moment that bring a robot to its reference: control of velocity within control of place.
+"""Force and moment that bring a robot to its reference, and the velocity that keeps it clear of others on the way.
 
-    v_d = sat(k_p (p_ref - p), v_max) + v_ref ;  k_p = w / (2 z), k_v = 2 z w ;  barrier.py has its say on v_d
+Control of velocity runs within control of place; `keep_right` and `safe_velocity` alter v_d between the two:
+
+    v_d = sat(k_p (p_ref - p), v_max) + v_ref ;  k_p = w / (2 z), k_v = 2 z w
     F = M R(psi + r tau)' (a_ref + k_v (v_d - v) + k v - d)                yaw when the thrust acts
     r_d = sat(w_psi / (2 z) e_psi, r_max) + r_ref ;  N = (J (2 z w_psi (r_d - r) + k_r r - d_psi) + munk) / (1 + gain)
     u = f + 1.4 (F - f), within limits
@@ -18,12 +20,12 @@ from typing import NamedTuple
 from agent.capabilities.swim.pose_filter import Belief, Hull, Wrench, damping, turn_damping
 from agent.core.linear_algebra import wrap
 
-# @@ barrier
+# --- barrier ---
 # The velocity that keeps a robot clear of others, of walls and of things: the safe one nearest to the wanted one.
 #
 # For each thing to keep clear of, with u the unit vector from it to the robot and s the distance left to spare:
 #
-# u . v >= -c(s) + u . v_j / 2 ;   c(s) = min(1.0 s, (-a T + sqrt(a^2 T^2 + 2 a s)) / 2) for s > 0, 1.5 s else
+#     u . v >= -c(s) + u . v_j / 2 ;   c(s) = min(1.0 s, (-a T + sqrt(a^2 T^2 + 2 a s)) / 2) for s > 0, 1.5 s else
 #
 # so that of two robots that come towards each other, each with speed c, both can brake in time: after T, with a
 # (after Wang et al., arXiv 1609.00651). The nearest point of such half-planes is found one by one: where the best so
@@ -58,8 +60,8 @@ class Disc(NamedTuple):
     velocity_m_s: Planar = STILL
     spread_m2: Spread = (0.0, 0.0, 0.0)
     yields: bool = False  # it keeps clear of the robot as well, so that each has half of the way
-    strays_m: float = 0.0  # how far from there it may be by now, for all that anybody knows
-    flees: bool = False  # an animal: it gives way to who cannot
+    strays_m: float = 0.0  # how far from there it may be by now, for all that is known
+    flees: bool = False  # an animal: it gives way to a robot that cannot
 
 
 class HalfPlane(NamedTuple):
@@ -168,7 +170,7 @@ def clear_of(at_m: Planar, spread_m2: Spread, disc: Disc) -> HalfPlane:
     sigma_m = math.sqrt(max(0.0, ux * ux * xx + 2.0 * ux * uy * xy + uy * uy * yy))
     free_m, unknown_m = distance_m - disc.clear_m - SWIMS_M, SIGMAS * sigma_m
     too_near_m = min(free_m - min(unknown_m, FLEES_M), 0.0)
-    spare_m = max(free_m - unknown_m - disc.strays_m, too_near_m)  # nobody flees from where it only may be
+    spare_m = max(free_m - unknown_m - disc.strays_m, too_near_m)  # a robot does not flee from where it only may be
     recedes = ux * disc.velocity_m_s[0] + uy * disc.velocity_m_s[1]
     return HalfPlane((ux, uy), -approach_m_s(spare_m) + (0.5 * recedes if disc.yields else recedes))
 
@@ -181,7 +183,7 @@ def approach_m_s(spare_m: float) -> float:
     return min(NEAR_1_S * spare_m, 0.5 * (math.sqrt(delayed * delayed + 2.0 * BRAKE_M_S2 * spare_m) - delayed))
 
 
-# @@ pilot
+# --- pilot ---
 
 # As stiff as is damped by 0.3 and more where thrusters lag by 0.08 to 0.15 s, mass and inertia are 0.75 to 1.3 times
 # what is believed and fixes are 0.2 s late. At 3.0 the lightest and fastest body with the latest fixes swings for ever;

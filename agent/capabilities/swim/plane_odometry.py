@@ -53,7 +53,7 @@ class Point(NamedTuple):
 
 
 class Moved(NamedTuple):
-    """The robot now, in the upright frame that it had at the key frame: z of corrections.add_flow."""
+    """The robot now, in the upright frame that it had at the key frame: z of pose_filter.add_flow."""
 
     pose: Vector  # x ahead and y to the left, m; yaw, rad
     covariance: Symmetric

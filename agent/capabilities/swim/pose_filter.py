@@ -3,9 +3,11 @@
 State (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi), what is learnt of the body and stays (by how many kg its added mass is
 larger aside than ahead, by what share its yaw moment is larger than was asked), the bias of the yaw rate where there is
 a gyro, and, once there is a key frame, the (x, y, psi) that the robot had when it was exposed: its clone, which what is
-seen since is measured from (Mourikis et al. 2007, stochastic cloning). A filter that is to be aided (aid.py) has the
-place (x, y, z) of a target at rest before the clone, from the first sighting on. Lengths m, angles rad. Covariances of
-what fluctuates: what survey and zeros have wrong in every fix alike, `stays`, is added once by whoever uses the pose.
+seen since is measured from (Mourikis et al. 2007, stochastic cloning). A filter that is to be aided (aided_pose.py) has
+the place (x, y, z) of a target at rest before the clone, from the first sighting on. Lengths m, angles rad. Covariances
+of what fluctuates: what survey and zeros have wrong in every fix alike, `stays`, is added once where the pose is used.
+
+The body model comes first, then prediction, corrections by measurements, and the walls that no pose is beyond.
 """
 
 from __future__ import annotations
@@ -17,7 +19,7 @@ from typing import NamedTuple
 from agent.core.linear_algebra import ZERO, Rows, cholesky, dot, lower_inverse, wrap
 from agent.core.messages import Symmetric, Vector
 
-# @@ body_model
+# --- body model ---
 # How a robot moves in the plane under the forces that it was asked for: constants, and one small step.
 #
 # x, y and velocity in the world frame; force and moment in the body frame (forward, left, anticlockwise). Thrusters
@@ -99,10 +101,10 @@ def turn_damping(hull: Hull, rate_rad_s: float) -> float:
     return (hull.turn_drag + hull.turn_drag2 * abs(rate_rad_s)) / hull.inertia_kgm2
 
 
-# @@ pose_filter
+# --- prediction ---
 
 FIRST_BIAS_RAD_S = math.radians(0.6)
-# Variances of v, r and d before anything was learnt: who was lost swims on for a while, and spins.
+# Variances of v, r and d before anything was learnt: a robot that was lost swims on for a while, and spins.
 FIRST = (2e-2, 2e-2, 2.5e-1, 4e-3, 4e-3, 1e-1)
 # Of what stays: Munk's difference of added masses, kg^2, and by how much a yaw moment is larger than what was asked.
 FIRST_LEARNT = (0.8 * 0.8, 0.2 * 0.2)
@@ -234,9 +236,9 @@ def _times_F(
 def ask(belief: Belief, hull: Hull, wrench: Wrench) -> Belief:
     """That wrench is asked for from now on.
 
-    With the first one thrusters turn, and push besides as nobody knows. With the last one they stand still, and of what
-    was believed to push that share goes on which is likely to be the tether's: of d = t + z, z being gone, there is
-    left t = d T^2 / (T^2 + Z^2), and Z^2 of that share is not known.
+    With the first one thrusters turn, and push besides by what is not known. With the last one they stand still, and of
+    what was believed to push that share goes on which is likely to be the tether's: of d = t + z, z being gone, there
+    is left t = d T^2 / (T^2 + Z^2), and Z^2 of that share is not known.
     """
     turned, turn = any(belief.asked), any(wrench)
     if turned == turn:
@@ -277,11 +279,9 @@ def frozen(rows: Sequence[Sequence[float]]) -> Covariance:
     return tuple(tuple(row) for row in rows)
 
 
-# @@ corrections
-# What is measured of a pose filter's state, one at a time: landmarks, odometry since a key frame, a gyro's rate, a
-# target at rest.
-#
-# An observation that one honest one in a thousand would be is refused.
+# --- corrections ---
+# Measurements of the filter's state, one at a time: landmarks, odometry since a key frame, a gyro's rate, a target at
+# rest. One whose NIS only one honest measurement in a thousand exceeds is refused.
 
 GATE = 16.27  # NIS of three numbers: one in a thousand is larger
 REFUSALS = 5  # of fixes in a row, after which it is the filter that is wrong
@@ -403,14 +403,14 @@ def _less(row: Sequence[float], weights: Sequence[float], rows: Sequence[Sequenc
     return [a - p * i - q * j - r * k for a, i, j, k in zip(row, b, c, d, strict=True)]
 
 
-# @@ basin
-# Where a robot's centre can be: inside the tank, and no nearer to a wall than its hull lets it.
+# --- walls ---
+# A robot's centre can be inside the tank, and no nearer to a wall than its hull lets it.
 #
-# A pose filter knows forces, not walls: who is pulled against one while no landmark is in sight believes to swim on
-# into it, ever faster. So a belief whose mean has come beyond a wall is cut off there: of the Gaussian only the part
-# within counts, and mean and covariance of that part are the belief from then on (Simon and Simon 2010, truncation of
-# the density). That is done where the mean is beyond and not at every moment: the wall says the same thing each time,
-# and the same thing counted again and again would make a robot sure that it is nowhere near.
+# The filter knows forces, not walls: a robot that is pulled against one while no landmark is in sight believes that it
+# swims on into it, ever faster. So a belief whose mean has come beyond a wall is cut off there: of the Gaussian only
+# the part within counts, and mean and covariance of that part are the belief from then on (Simon and Simon 2010,
+# truncation of the density). That is done where the mean is beyond and not at every moment: the wall says the same
+# thing each time, and the same thing counted again and again would make a robot sure that it is nowhere near.
 
 HULL_M = 0.14  # from its centre to a wall that it leans against
 FARTHEST = 3.0  # sigmas beyond: what is farther out was believed wrong, and tells nothing of how wrong

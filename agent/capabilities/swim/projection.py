@@ -1,8 +1,11 @@
 """Points of the world as slopes in a camera that a robot carries, and how these change with the robot's pose.
 
-theta = (x, y, psi, depth, roll, pitch, pan, tilt), m and rad; frames and angles as in ranging/camera_model.py. A slope
-is (X, Y) / (Z - ahead_m) in the camera frame. An angle turns the camera about an axis through a centre, the body's or
-the gimbal's pivot: a point p of the camera frame, as seen from that centre, moves by p x axis.
+theta = (x, y, psi, depth, roll, pitch, pan, tilt), m and rad; frames and angles as in core/ranging/camera_model.py. A
+slope is (X, Y) / (Z - ahead_m) in the camera frame. An angle turns the camera about an axis through a centre, the
+body's or the gimbal's pivot: a point p of the camera frame, as seen from that centre, moves by p x axis.
+
+Behind the projection stands what makes a tag be seen elsewhere than it should be: errors of the lens's calibration,
+blur, and the noise of its corners.
 """
 
 from __future__ import annotations
@@ -19,71 +22,6 @@ from agent.core.messages import Vector
 from agent.core.ranging.camera_model import CameraFit, FocusFit, at_lens_position
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import SeenTag, Slope
-
-# @@ lens_errors
-# What a calibration has wrong of camera and gimbal moves all tags of all frames in one pattern: no filter averages
-# it.
-#
-#     c + f (1 + b |s|^2) s = pixel
-#     M ds = -((1 + b |s|^2) s dln f + |s|^2 s db + dc / f) ,  M = (1 + b |s|^2) I + 2 b s s'
-#
-# The covariance of the calibration's ten numbers is taken apart into ten errors that know nothing of each other, each
-# of one sigma.
-
-NUMBERS = 10  # CameraFit.covariance
-
-
-class LensError(NamedTuple):
-    """One of them: how wrong all numbers are together."""
-
-    scale: float  # of ln f, at the frame's lens position
-    bend: float
-    cx: float  # px over f_px
-    cy: float
-    ahead_m: float
-    pan: float  # zeros, rad
-    tilt: float
-    pan_gain: float
-    tilt_gain: float
-
-
-def lens_errors(camera: CameraFit, focus: float | None) -> tuple[LensError, ...]:
-    """None where the calibration does not say how good it is. camera: as calibrated; focus: the frame's."""
-    if camera.covariance is None or (L := _factor(camera.covariance)) is None:
-        return ()
-    travel = 0.0 if focus is None else focus - camera.lens
-    errors = []
-    for k in range(NUMBERS):
-        f, bend, cx, cy, ahead_m, breathing, pan, tilt, pan_gain, tilt_gain = [0.0] * k + [row[k] for row in L[k:]]
-        scale, zeros = f + breathing * travel, (math.radians(pan), math.radians(tilt))
-        errors.append(LensError(scale, bend, cx / camera.f_px, cy / camera.f_px, ahead_m, *zeros, pan_gain, tilt_gain))
-    return tuple(errors)
-
-
-@lru_cache(maxsize=64)  # of each camera that this process knows: one in an agent, all of a fleet in an experiment
-def _factor(covariance: tuple[float, ...]) -> list[list[float]] | None:
-    """L with L L' = covariance; None where it is none."""
-    rows: list[list[float]] = []
-    rest = list(covariance)
-    for i in range(NUMBERS):
-        rows.append([rows[k][i] for k in range(i)] + rest[: NUMBERS - i])
-        del rest[: NUMBERS - i]
-    return cholesky(rows)
-
-
-def slope_error(error: LensError, bend: float, slope: Slope, per_m: float) -> Slope:
-    """How far a point is seen from where it should be. per_m: 1 over its distance ahead of where rays meet."""
-    x, y = slope
-    s2 = x * x + y * y
-    straight = 1.0 + bend * s2
-    grown = straight * error.scale + s2 * error.bend
-    u, v = grown * x + error.cx, grown * y + error.cy
-    along = 2.0 * bend * (x * u + y * v) / (straight + 2.0 * bend * s2)  # M^-1, by Sherman and Morrison
-    longer = error.ahead_m * per_m
-    return -(u - along * x) / straight - longer * x, -(v - along * y) / straight - longer * y
-
-
-# @@ projection
 
 Theta = tuple[float, float, float, float, float, float, float, float]
 NEAREST_M = 0.02  # before the point where rays meet; what is nearer is in the port, or behind
@@ -189,7 +127,7 @@ def seen(of: View, at: Gaze, point_m: Vector) -> Seen | None:
 
 
 def by_survey(of: Seen, middle_m: Vector, corner_m: Vector) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """How the slope of a tag's corner moves with the six errors of its survey (layout.survey_jacobian), 2 x 6."""
+    """How the slope of a tag's corner moves with the six errors of its survey (landmarks.survey_jacobian), 2 x 6."""
     columns = tuple(zip(*survey_jacobian(middle_m, corner_m), strict=True))
     u, v = (tuple(a * i + b * j + c * k for i, j, k in columns) for a, b, c in of.by_point)
     return u, v
@@ -254,13 +192,75 @@ def _rz(a: float) -> tuple[Vector, Vector, Vector]:
     return (c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)
 
 
-# @@ defocus
+# --- errors of the calibration ---
+# What a calibration has wrong of camera and gimbal moves all tags of all frames in one pattern: no filter averages
+# it.
+#
+#     c + f (1 + b |s|^2) s = pixel
+#     M ds = -((1 + b |s|^2) s dln f + |s|^2 s db + dc / f) ,  M = (1 + b |s|^2) I + 2 b s s'
+#
+# The covariance of the calibration's ten numbers is taken apart into ten errors that know nothing of each other, each
+# of one sigma.
+
+NUMBERS = 10  # CameraFit.covariance
+
+
+class LensError(NamedTuple):
+    """One of them: how wrong all numbers are together."""
+
+    scale: float  # of ln f, at the frame's lens position
+    bend: float
+    cx: float  # px over f_px
+    cy: float
+    ahead_m: float
+    pan: float  # zeros, rad
+    tilt: float
+    pan_gain: float
+    tilt_gain: float
+
+
+def lens_errors(camera: CameraFit, focus: float | None) -> tuple[LensError, ...]:
+    """None where the calibration does not say how good it is. camera: as calibrated; focus: the frame's."""
+    if camera.covariance is None or (L := _factor(camera.covariance)) is None:
+        return ()
+    travel = 0.0 if focus is None else focus - camera.lens
+    errors = []
+    for k in range(NUMBERS):
+        f, bend, cx, cy, ahead_m, breathing, pan, tilt, pan_gain, tilt_gain = [0.0] * k + [row[k] for row in L[k:]]
+        scale, zeros = f + breathing * travel, (math.radians(pan), math.radians(tilt))
+        errors.append(LensError(scale, bend, cx / camera.f_px, cy / camera.f_px, ahead_m, *zeros, pan_gain, tilt_gain))
+    return tuple(errors)
+
+
+@lru_cache(maxsize=64)  # of each camera that this process knows: one in an agent, all of a fleet in an experiment
+def _factor(covariance: tuple[float, ...]) -> list[list[float]] | None:
+    """L with L L' = covariance; None where it is none."""
+    rows: list[list[float]] = []
+    rest = list(covariance)
+    for i in range(NUMBERS):
+        rows.append([rows[k][i] for k in range(i)] + rest[: NUMBERS - i])
+        del rest[: NUMBERS - i]
+    return cholesky(rows)
+
+
+def slope_error(error: LensError, bend: float, slope: Slope, per_m: float) -> Slope:
+    """How far a point is seen from where it should be. per_m: 1 over its distance ahead of where rays meet."""
+    x, y = slope
+    s2 = x * x + y * y
+    straight = 1.0 + bend * s2
+    grown = straight * error.scale + s2 * error.bend
+    u, v = grown * x + error.cx, grown * y + error.cy
+    along = 2.0 * bend * (x * u + y * v) / (straight + 2.0 * bend * s2)  # M^-1, by Sherman and Morrison
+    longer = error.ahead_m * per_m
+    return -(u - along * x) / straight - longer * x, -(v - along * y) / straight - longer * y
+
+
+# --- defocus ---
 # Which tags of a frame the lens, by calibration, shows sharply enough.
 #
-# From a blur as wide as a module on, the edge of a tag's border and those of its code are one. Then they look
-# narrower than they are, and corners move inwards: by 0.1 % up to 0.9 of a module, by 1.3 % beyond 1.2 (rms, twin,
-# 2900 tags), which is 25 mm of distance at 2 m. So it is not the picture that is asked how blurred it is, but the
-# lens.
+# From a blur as wide as a module on, the edge of a tag's border and those of its code are one. Then they look narrower
+# than they are, and corners move inwards: by 0.1 % up to 0.9 of a module, by 1.3 % beyond 1.2 (rms, twin, 2900 tags),
+# which is 25 mm of distance at 2 m. So the lens position tells how blurred a tag is, not the picture.
 
 MODULES = 8  # along a tag's side
 WIDTH_PX = 2.5  # diameter of the blur's disc a half width of the clarity peak off focus: 2.3 to 2.6 px (five lenses)
@@ -268,25 +268,25 @@ MIXED = 1.0  # of a module
 
 
 def readable(tags: Iterable[SeenTag], size_m: float, of: View, fit: FocusFit, focus: float | None) -> list[SeenTag]:
-    """The tags whose blur is narrower than a module. size_m: of a tag; focus: the frame's lens position, None: nobody
-    knows, and all count."""
+    """The tags whose blur is narrower than a module. size_m: of a tag; focus: the frame's lens position, None: it is
+    not known, and all count."""
     if focus is None:
         return list(tags)
     return [tag for tag in tags if _blur_px(tag, size_m, of, fit, focus) <= MIXED * tag.size_px / MODULES]
 
 
 def _blur_px(tag: SeenTag, size_m: float, of: View, fit: FocusFit, focus: float) -> float:
-    """Of who stands before the lens's nearest range, infinite."""
+    """Diameter; infinite for a tag that is before the lens's nearest range."""
     away_m = size_m * of.f_px / max(tag.size_px, 1e-9)
     if away_m <= fit.u_inf_m:
         return float("inf")
     return WIDTH_PX * abs(focus - lens_position(fit, away_m)) / fit.width
 
 
-# @@ tag_noise
+# --- noise of a tag's corners ---
 # How wrong the four corners of one tag are seen together, px: V_t, 8x8, and the part of it that a survey made.
 #
-# V_t = s_c^2 I8 + s_o^2 (1 1') x I2 + s_s^2 c c' + f^2 G S G'
+#     V_t = s_c^2 I8 + s_o^2 (1 1') x I2 + s_s^2 c c' + f^2 G S G'
 #
 # c: the corners less their mean, px; S: of the survey's six errors; G: how these move the slopes. Corners of one tag
 # share errors: independent ones of 0.2 px made fixes overconfident, NEES/3 of 5.9 and 9.2. The eight numbers are u, v

@@ -1,5 +1,5 @@
-"""A target that swims, of which the robot's behaviour is: frames give bearings instead of sweeps, and the camera goes
-with it.
+"""A target that swims, and that the robot's behaviour is about: frames give bearings instead of sweeps, and the camera
+goes with it.
 
 A sweep takes a second, in which a fish is elsewhere. So the newest frame of each short iteration is a sample, from
 where the robot was and its camera looked at that moment; between landmarks and target the camera is the target's,
@@ -31,19 +31,19 @@ from agent.core.step_io import Sighting
 from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetState, grown
 
-# @@ gaze
-# A gaze that goes with a target which swims: ahead of where it was last known to be, and, where it is not seen, to
-# and fro over all places where it may be.
+# --- gaze that tracks ---
+# It goes with the target: ahead of where the target was last known to be, and, where the target is not seen, to and
+# fro over all places where it may be.
 #
 # With x and C where it is believed to be and how well, u the level direction across the line of sight, and sigma^2 =
 # u'Cu, the places to look at are
 #
-# p(s) = x + s C u / sigma,   -2 <= s <= 2
+#     p(s) = x + s C u / sigma,   -2 <= s <= 2
 #
 # the mean of where it is, given how far beside x it is: for a target that one other robot sees, that robot's line of
 # sight. Where all have lost it each takes those that are nearer to itself than to any other, and looks from end to
-# end of them but for what its picture shows anyway. As long as the view is wider than all that, the gaze rests: who
-# turned aside would miss what comes out from behind a stone.
+# end of them but for what its picture shows anyway. As long as the view is wider than all that, the gaze rests: a
+# camera that turned aside would miss what comes out from behind a stone.
 
 LOST_NS = 400_000_000  # four frames without it
 ELSEWHERE_NS = 200_000_000  # several steps
@@ -69,8 +69,8 @@ class Gaze(Revertible):
         return self._since_ns is not None and now_ns - self._since_ns <= LOST_NS
 
     def unseen_s(self, now_ns: int) -> float:
-        """Since when it is lost; 0: it is not. Where nobody asked for a while the camera was elsewhere, and how long it
-        did not see the target counts anew."""
+        """Since when it is lost; 0: it is not. Where it was not asked for a while the camera was elsewhere, and how
+        long it did not see the target counts anew."""
         if self._since_ns is None or now_ns - self._asked_ns > ELSEWHERE_NS:
             self._since_ns, self._asked_ns = now_ns, now_ns
         return max((now_ns - self._since_ns - LOST_NS) * 1e-9, 0.0)
@@ -123,12 +123,12 @@ def own_part(
     return (low, high) if low < high else (-SIGMAS, SIGMAS)
 
 
-# @@ scan
-# A gaze that goes round all that the gimbal reaches, without rest: for a target that swims, and may be anywhere.
+# --- gaze that scans ---
+# It goes round all that the gimbal reaches, without rest: for a target that may be anywhere.
 #
-# Looks with rests between them (roam.py) take longer for one round than a fish stays where it is. This one passes at
-# a rate at which neighbouring frames overlap, to and fro at one tilt after the other: every other time at the middle
-# one, where most swims.
+# Looks with rests between them (search_pattern.Roam) take longer for one round than a fish stays where it is. This one
+# passes at a rate at which neighbouring frames overlap, to and fro at one tilt after the other: every other time at the
+# middle one, where most swims.
 
 AWAY_NS = 200_000_000  # several steps
 SCAN_ELSEWHERE_NS = 2_000_000_000  # longer than a glance: it begins anew
@@ -159,10 +159,10 @@ class Scan(Revertible):
         return 0.5 * (low + high) + 0.5 * (high - low) * triangle(self._turn), rows[row]
 
 
-# @@ pursuit
+# --- bearings, and where the camera looks ---
 
 STEP = 0.25  # of the peak's half width: a blur by less is not worth the frames in which the lens moves
-ALL_LOST_NS = 600_000_000  # three iterations in which nobody saw it
+ALL_LOST_NS = 600_000_000  # three iterations in which no robot saw it
 HIDDEN_S, HIDDEN_M = 0.3, 1.4  # after it is lost; farther away it may just not be made out
 # Samples of one robot that a track of what swims remembers: (R dt / q)^(1/4) is about dt at 10 to 20 cm/s. What is
 # alike in more of them does not count more often.
@@ -201,7 +201,7 @@ class Pursuit(Revertible):
         return self._newest is not None and self._newest.target == of.name
 
     def bearing(self, of: TargetState, attitude: AttitudeLog, now_ns: int) -> Bearing | None:
-        """What the newest frame says of that target, once; None: none showed it, or nobody knows where from."""
+        """What the newest frame says of that target, once; None: none showed it, or where from is not known."""
         seen, self._newest = self._newest, None
         if seen is None or self._swimmer is None or of.name != seen.target or seen.centre_px is None:
             return None
@@ -234,14 +234,14 @@ class Pursuit(Revertible):
         )
 
     def goes_with(self, of: TargetState, seek: Seek) -> bool:
-        """Whether the camera goes without rest, with that target or in search of it. Who does not know how it swims
-        itself finds that out first."""
+        """Whether the camera goes without rest, with that target or in search of it. A robot that does not know how
+        it swims itself finds that out first."""
         knows = of.estimator.posterior is not None or seek.roam is not None
         swims = self._swimmer is not None and self._swimmer.under_way
         return of.name == self.target and not seek.measuring and knows and swims
 
     def look(self, of: TargetState, seek: Seek, level: Attitude | None, now_ns: int) -> bool:
-        """Point the camera at that target, or to and fro where it ought to be, or all around where nobody knows;
+        """Point the camera at that target, or to and fro where it ought to be, or all around where no robot knows;
         returns whether that is its turn."""
         here, believed = None if self._swimmer is None else self._swimmer.here, of.estimator.posterior
         if of.name != self.target or seek.measuring:
@@ -253,7 +253,7 @@ class Pursuit(Revertible):
             camera, body, surface_m = self._calibration.camera, self._fleet.body, self._fleet.tank.surface_m
             rests = self._gaze.sees(now_ns) or seek.lit_m is not None
             way_deg = self._scan.way_deg(camera, body, level.depth_m, surface_m, rests, now_ns)
-            if seek.lit_m is not None:  # for whoever looks there
+            if seek.lit_m is not None:  # lit for a robot that looks there
                 way_deg = look_at(seek.lit_m, pose_of(here), body, *level, surface_m)
             seek.track(of.name, *way_deg, now_ns)
             self._lens = None
@@ -271,8 +271,8 @@ class Pursuit(Revertible):
 
     def _searched(self, at_m: Vector, cov_m2: Symmetric, here_m: Vector, lost_by_all: bool, now_ns: int) -> Vector:
         """Of all places where it may be the one to look at now: the middle one while the robot sees it. Where all have
-        lost it each takes its part of them. Who knows well where others see it, and does not, has something in
-        between."""
+        lost it each takes its part of them. A robot that knows well where others see it, and does not see it itself,
+        has something in between."""
         unseen_s = self._gaze.unseen_s(now_ns)
         if not unseen_s or self._swimmer is None:
             self._gaze.swing(0.0, now_ns)

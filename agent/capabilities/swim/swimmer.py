@@ -48,12 +48,11 @@ from agent.core.step_io import Flow, SeenTags, Telemetry
 from agent.core.step_transaction import SURFACE_M, Revertible
 from agent.core.target_state import TargetEstimate
 
-# @@ task
-# What a robot that swims is told to do, by its fleet file or by order, and how far it is with that.
+# --- behaviour in force ---
 
 
 class Task(Revertible):
-    """Of one robot, between steps."""
+    """What a robot that swims is told to do, by its fleet file or by order, and how far it is with that."""
 
     def __init__(self, robot: Robot) -> None:
         self._told = robot.behaviour or Hold()
@@ -85,10 +84,9 @@ class Task(Revertible):
         return 0.0 if self._before is None else self._before.turned + wrap(pose[2] - self._before.heading)
 
 
-# @@ errand
-# What a robot does about a target by name: what it needs to know for that, and where its camera looks meanwhile.
+# --- target context of a behaviour ---
 
-SCREEN_NS = 6_000_000_000  # remembered for so long: where exactly it is nobody knows, and a fish swims on
+SCREEN_NS = 6_000_000_000  # remembered for so long: its exact place is not known, and a fish swims on
 SCREENS_APART_M, MOST_SCREENS = 0.1, 8
 
 
@@ -100,14 +98,17 @@ class Screen(NamedTuple):
 
 
 class Errand(Revertible):
-    """Of one robot, between steps; of a behaviour that is about no target it knows nothing."""
+    """What a robot needs to know for a behaviour about a target by name, and where its camera looks meanwhile.
+
+    Of a behaviour that is about no target it knows nothing.
+    """
 
     def __init__(self, fleet: Fleet, calibration: Calibration) -> None:
         assert fleet.navigation is not None
         self._fleet, self._camera, self._swims = fleet, calibration.camera, pursued(fleet)
         self._speed_m_s = fleet.navigation.limits.speed_m_s
         self.around: Surroundings | None = None
-        self.station: tuple[Planar, float] | None = None  # where a survey looks from; by whoever chooses views
+        self.station: tuple[Planar, float] | None = None  # where a survey looks from; the survey sets it
         self._screens: deque[Screen] = deque(maxlen=MOST_SCREENS)
         self.does: Behaviour | None = None  # what is in effect now: Follow may be searching, or waiting
 
@@ -151,7 +152,7 @@ class Errand(Revertible):
     def _roam(self, what: Search, target: TargetEstimate | None, pose: Pose, depth_m: float, now_ns: int) -> Roam:
         surface_m = self._fleet.tank.surface_m
         around = all_around(self._camera, self._fleet.body, depth_m, surface_m)
-        if target is None or what.target in self._swims:  # its gaze goes all around at once (control/scan.py)
+        if target is None or what.target in self._swims:  # its gaze goes all around at once (pursuit.Scan)
             return Roam(what.target, (), around, now_ns)
         speed_m_s = dynamics(self._fleet.target[what.target]).first_speed_m_s
         return Roam(what.target, spiral(self._camera, _reach_deg(target, speed_m_s, pose, now_ns)), around, now_ns)
@@ -166,7 +167,7 @@ class Errand(Revertible):
         return [screen for screen in self._screens if now_ns - screen.since_ns < SCREEN_NS]
 
     def disc(self, now_ns: int) -> Disc | None:
-        """The target, to keep clear of. Nobody flees from where it only may be."""
+        """The target, to keep clear of. The robot does not flee from where it only may be."""
         if self.around is None or (target := self.around.target) is None:
             return None
         at_m, velocity = target.x_m[:2], velocity_m_s(target, now_ns)
@@ -190,13 +191,14 @@ def _reach_deg(target: TargetEstimate, speed_m_s: float, pose: Pose, now_ns: int
     return math.degrees(math.atan2(2.0 * target.sigma_m + gone_m, distance_m))
 
 
-# @@ swimmer
+# --- swimmer ---
 
 SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
 CALM_M_S = 0.15  # an orbit's pace is less, the way to a goal is swum faster
 BRAKES_NS = 1_000_000_000  # of one that is lost: five times as long as the pilot's damping takes
-# Of a camera that rests where it is to stay: then there is a key frame, and flow. Who begins to swim as it turns back
-# from landmarks has no odometry, and is lost again. (What goes with a target never rests, and waits for nothing.)
+# Of a camera that rests where it is to stay: then there is a key frame, and flow. A robot that begins to swim as the
+# camera turns back from landmarks has no odometry, and is lost again. (A camera that goes with a target never rests,
+# and waits for nothing.)
 KEY_NS = 250_000_000
 # Shares of what is else too unsure: one that pursues looks later, for less, and what it sees meanwhile counts for less.
 PURSUES, BRIEF = 2.2, 0.75
@@ -357,7 +359,7 @@ class Swimmer(Revertible):
             enough = share * UNSURE_M, share * UNSURE_DEG
         moves = self._found and (not self._glancing or brief or (here is not None and foresees(here)))
         sure = here is not None and within(here, *enough) and moves
-        # Nobody who searches watches anything, and who does not know how it swims cannot search.
+        # A robot that searches watches nothing, and one that does not know how it swims cannot search.
         searches = seek.roam is not None and not self._found
         waits = self.company.waits(here, self._glancing, now_ns) and not searches
         blind = now_ns - max(self.localizer.fixed_ns, self._swept_ns) > ARRIVED_NS
@@ -386,7 +388,7 @@ class Swimmer(Revertible):
     def thrust(self, allowed: bool, target_m: Vector | None, now_ns: int) -> Wrench:
         """Force ahead and to the left, N, and yaw moment, N m. target_m: where the watched target is believed to be."""
         here, watched_m = self.localizer.at(now_ns), None if target_m is None else (target_m[0], target_m[1])
-        self._found = self._found and allowed  # whoever lies still may begin when it is well
+        self._found = self._found and allowed  # one that lies still has to know its motion anew to begin
         by, since_ns = self.here or here, self._lost_since_ns
         if here is None or by is None or not allowed or adrift(here):
             asked = STILL
@@ -402,7 +404,7 @@ class Swimmer(Revertible):
         return asked
 
     def _stays(self, by: Belief, to: Reference, now_ns: int) -> Wrench:
-        """There, but out of the way of others: whoever lets himself drift is pulled into them."""
+        """There, but out of the way of others: a robot that drifts is pulled into them."""
         velocity = self.company.velocity(wanted_velocity(by, to), by, to, (), now_ns)
         return wrench(by, self.localizer.hull, to, velocity)
 

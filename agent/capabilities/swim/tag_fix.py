@@ -3,10 +3,12 @@
     theta = (x, y, psi, depth, roll, pitch, pan, tilt)
     minimise  sum_t rho(|| L_t^-1 f (s(theta) - s_t) ||) + sum_k ((theta_k - prior_k) / sigma_k)^2
 
-over tags t with V_t = L_t L_t' (tag_noise.py), rho Huber's per tag, by Gauss-Newton. Depth, level and gimbal are known
-beforehand but not exactly; place and yaw have no prior: a fix owes nothing to the prediction that it starts from. The
-covariance of (x, y, psi) is the block of (J' W J)^-1, and what the camera's calibration has wrong. Part of it, which
-survey, priors and calibration have wrong in the same way in every frame, no filter may take for noise: B.
+over tags t with V_t = L_t L_t' (projection.tag_noise), rho Huber's per tag, by Gauss-Newton. Depth, level and gimbal
+are known beforehand but not exactly; place and yaw have no prior: a fix owes nothing to the prediction that it starts
+from. The covariance of (x, y, psi) is the block of (J' W J)^-1, and what the camera's calibration has wrong. Part of
+it, which survey, priors and calibration have wrong in the same way in every frame, no filter may take for noise: B.
+
+`tag_fix` begins at a predicted pose; `first_fix` has nothing to begin from.
 """
 
 from __future__ import annotations
@@ -48,7 +50,7 @@ from agent.core.linear_algebra import (
 from agent.core.messages import Symmetric
 from agent.core.step_io import SeenTag
 
-# @@ tag_priors
+# --- priors ---
 # What is known of depth, level and gimbal before any tag is seen, and how well.
 
 DEPTH_M = 0.0007  # pressure: what the tare leaves, and the drift of four sensors in the first minutes
@@ -106,7 +108,7 @@ def priors(
     return Priors(Prior(level.depth_m, 0.0, DEPTH_M), roll, pitch, pan, tilt)
 
 
-# @@ tag_fix
+# --- fix from a prediction ---
 
 HUBER = 4.0  # whitened norm of a tag's eight residuals, whose mean is 2.8 where all is well
 ROUNDS = 12  # Gauss-Newton from a filter's prediction needs 3
@@ -118,7 +120,7 @@ class Map(NamedTuple):
     """What the fleet file says of landmarks."""
 
     landmarks: Landmarks
-    markers: Mapping[int, Marker]  # layout.markers(landmarks)
+    markers: Mapping[int, Marker]  # landmarks.markers(landmarks)
 
 
 class TagFix(NamedTuple):
@@ -325,7 +327,7 @@ def _outer(x: float, y: float, p: float) -> Symmetric:
     return x * x, x * y, x * p, y * y, y * p, p * p
 
 
-# @@ first_fix
+# --- first fix ---
 # A pose from tags with nothing to begin from: neither place nor yaw.
 #
 # Depth, roll, pitch and gimbal are known, so of a tag's corner c and the ray (o, d) along which it is seen, in the
