@@ -1,4 +1,8 @@
-"""fleet.toml -> Fleet, read and checked. Every mistake is one line: the file, the key, and what to change."""
+"""fleet.toml -> Fleet, read and checked. Every mistake is one line: the file, the key, and what to change.
+
+Reading comes first, then the rules: those of every fleet, and those of access, of robots that swim, of landmarks and
+of lamps.
+"""
 
 from __future__ import annotations
 
@@ -34,221 +38,68 @@ from agent.core.config import (
     read_toml,
 )
 
-# @@ access_rules
-# What may not be in `[access]`, and what it needs where robots listen on tls/.
 
-AUTHORITY = "ca"  # whose files lie in the same folder
-
-
-def broken_access_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
-    """Every mistake as (key, what to change)."""
-    if fleet.access.keys == "":
-        yield "access.keys", "no folder; write its name, or remove the key: then nothing is signed"
-    if fleet.secured and fleet.access.keys is None:
-        remedy = 'write keys = "keys", and make them with aucamp keys'
-        yield "access.keys", f"robots listen on tls/, and no folder has their certificates; {remedy}"
-    plain = [name for name, robot in fleet.robot.items() if robot.listen.startswith("tcp/")]
-    secret = [name for name, robot in fleet.robot.items() if robot.listen.startswith("tls/")]
-    if plain and secret:
-        yield f"robot.{plain[0]}.listen", f"open, while {secret[0]} listens on tls/; write all of them one way"
-    for name in secret:
-        if "[" in fleet.robot[name].listen:  # Zenoh 1.10.2: the link never comes about, and nothing says why
-            yield f"robot.{name}.listen", "no address of IPv6 can be dialled by TLS; write a name, or one of IPv4"
-    if fleet.secured or fleet.access.consoles:  # else nobody has a certificate
-        yield from _name_rules(fleet)
+def load_fleet(path: Path) -> Fleet:
+    """Read and check a fleet file. Raises ConfigError with one line."""
+    fleet = read_fleet(path)
+    _check(fleet, path)
+    return msgspec.structs.replace(fleet, target={name: _found(t, path.parent) for name, t in fleet.target.items()})
 
 
-def _name_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
-    """Each name is one party's: it is what a certificate says."""
-    whose = dict.fromkeys(fleet.robot, "a robot")
-    if AUTHORITY in whose:
-        yield f"robot.{AUTHORITY}", "is the name of the authority's files among the keys; call the robot otherwise"
-    for key, names, kind in (
-        ("access.observers", fleet.access.observers, "an observer"),
-        ("access.consoles", fleet.access.consoles, "a console"),
-    ):
-        for name in names:
-            if name == AUTHORITY:
-                yield key, f"'{name}' is the name of the authority's files among the keys; take another"
-            elif name in whose:
-                yield key, f"'{name}' is {whose[name]} already; give each robot, observer and console its own name"
-            whose[name] = kind
+def read_fleet(path: Path) -> Fleet:
+    """Read a fleet file, and the file of its tags if it names one; what types cannot say is not asked. Raises
+    ConfigError with one line."""
+    data = read_toml(path)
+    landmarks = data.get("landmarks")
+    if not (isinstance(landmarks, dict) and "file" in landmarks):
+        return convert(data, Fleet, path)
+    fleet = convert({key: value for key, value in data.items() if key != "landmarks"}, Fleet, path)
+    return msgspec.structs.replace(fleet, landmarks=landmarks_of(landmarks, path, fleet.tank))
 
 
-# @@ swim_rules
-# What may not be in a fleet file of robots that swim, or of moored ones that are told to.
-
-ROUNDING_M = 1e-9  # what a centre less its radius may lack
-
-
-def broken_swim_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
-    """Every mistake as (key, what to change)."""
-    surveys = [name for name, robot in fleet.robot.items() if isinstance(robot.behaviour, Survey)]
-    if fleet.coverage is None:
-        for name in surveys:
-            yield f"robot.{name}.behaviour", "nobody says what there is to see; add a table [coverage]"
-    elif not surveys:
-        yield "coverage", 'nobody surveys; give a robot the behaviour { kind = "survey" }, or remove the table'
-    if fleet.navigation is None:
-        for name, robot in fleet.robot.items():
-            if robot.behaviour is not None and not isinstance(robot.behaviour, Survey):
-                yield f"robot.{name}.behaviour", "it is moored; add a table [navigation], or remove the behaviour"
-        return
-    if fleet.landmarks is None:
-        yield "navigation", "robots that swim find themselves by landmarks; add a table [landmarks]"
-    for name, robot in fleet.robot.items():
-        if (wrong := _outside(fleet, robot.pose.x_m, robot.pose.y_m)) is not None:
-            yield f"robot.{name}.pose", wrong
-        if robot.behaviour is not None and (wrong := wrong_way(fleet, robot.behaviour)) is not None:
-            yield f"robot.{name}.behaviour", wrong
-    for (a, one), (b, other) in combinations(fleet.robot.items(), 2):
-        key = "behaviour" if isinstance(other.behaviour, Goto) else "pose"
-        apart_m = math.dist(_goal(one), _goal(other))
-        if apart_m < (least_m := fleet.navigation.limits.separation_m) + MARGIN_M:
-            why = f"{apart_m:.2f} m from '{a}', and robots keep {least_m} m and a margin apart; move one of them"
-            yield f"robot.{b}.{key}", why
+def _found(target: Target, folder: Path) -> Target:
+    """Its files, which count from the fleet file's folder, by their full paths: copies of the file lie elsewhere."""
+    full = {key: str((folder / name).resolve()) for key in ("picture", "models") if (name := getattr(target, key))}
+    return msgspec.structs.replace(target, **full)
 
 
-def _goal(robot: Robot) -> tuple[float, float]:
-    """Where it is told to be in the end; of other behaviours, where it begins."""
-    there = robot.behaviour if isinstance(robot.behaviour, Goto) else robot.pose
-    return there.x_m, there.y_m
+def load_robot(fleet: Fleet, name: str, path: Path) -> Robot:
+    """The robot called `name`, or ConfigError naming those that exist."""
+    if name not in fleet.robot:
+        raise ConfigError(f"{path}: no robot '{name}'; the file has {', '.join(fleet.robot)}")
+    return fleet.robot[name]
 
 
-def wrong_way(fleet: Fleet, what: Behaviour) -> str | None:
-    """Why a robot cannot do that in this tank; None where it can."""
-    if isinstance(what, Goto):
-        if what.depth_m is not None and what.depth_m > fleet.tank.surface_m:
-            return f"{what.depth_m} m is below the floor; the water is {fleet.tank.surface_m} m deep"
-        return _outside(fleet, what.x_m, what.y_m)
-    if isinstance(what, Follow | Search) and what.target not in fleet.target:
-        return f"no target '{what.target}'; the file has {', '.join(fleet.target)}"
-    if isinstance(what, Follow) and (wrong := _too_far(fleet, what)) is not None:
-        return wrong
-    if isinstance(what, Orbit | Trial | Search):
-        assert fleet.navigation is not None
-        if abs(what.speed_m_s) > (most := fleet.navigation.limits.speed_m_s):
-            return f"{abs(what.speed_m_s)} m/s is faster than navigation.limits.speed_m_s, {most}; swim slower"
-    if isinstance(what, Trial):
-        heading = math.radians(what.yaw_deg)
-        x, y = what.half_m * math.cos(heading), what.half_m * math.sin(heading)
-        return _outside(fleet, what.x_m - x, what.y_m - y) or _outside(fleet, what.x_m + x, what.y_m + y)
-    if isinstance(what, Orbit):
-        (x, y), r = (what.x_m, what.y_m), what.radius_m
-        return _outside(fleet, x - r, y - r) or _outside(fleet, x + r, y + r)
-    return None
+class _Told(Struct, frozen=True, kw_only=True):
+    behaviour: Behaviour
 
 
-def _too_far(fleet: Fleet, what: Follow) -> str | None:
-    """Why nobody can keep that distance from a target in the middle of the tank, on any side of it."""
-    most_m = 0.5 * max(fleet.tank.size_m[:2]) - WALL_M
-    if what.standoff_m <= most_m:
-        return None
-    return f"a standoff of {what.standoff_m} m does not fit into the tank; write {most_m:.2f} or less"
+def with_behaviour(fleet: Fleet, name: str, text: str) -> Fleet:
+    """The fleet, one of whose robots does something else: `text` is what stands behind `behaviour =` in a fleet file,
+    such as { kind = "hold" }. Raises ConfigError with one line."""
+    try:
+        data = tomllib.loads(f"behaviour = {text}")
+        told = msgspec.convert(data, _Told).behaviour
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(
+            f"""--behaviour {text}: not valid TOML: {error}; write it as in the fleet file: '{{ kind = "hold" }}'"""
+        ) from None
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"--behaviour: {explain(error, data, _Told)}") from None
+    told_so = msgspec.structs.replace(fleet.robot[name], behaviour=told)
+    fleet = msgspec.structs.replace(fleet, robot={**fleet.robot, name: told_so})
+    for key, remedy in broken_rules(fleet):
+        raise ConfigError(f"--behaviour: key '{key}': {remedy}")
+    return fleet
 
 
-def _outside(fleet: Fleet, x_m: float, y_m: float) -> str | None:
-    """Why no robot swims there; None where it can."""
-    length_m, breadth_m, _ = fleet.tank.size_m
-    if min(x_m, length_m - x_m, y_m, breadth_m - y_m) >= WALL_M - ROUNDING_M:
-        return None
-    return f"({x_m:.2f}, {y_m:.2f}) is less than {WALL_M} m from a wall, where no robot swims; write another place"
+def _check(fleet: Fleet, path: Path) -> None:
+    """What a type cannot say. Raises ConfigError for the first rule that is broken."""
+    for key, remedy in broken_rules(fleet):
+        raise ConfigError(f"{path}: key '{key}': {remedy}")
 
 
-# @@ landmark_rules
-# What may not be in the table [landmarks] of a fleet file.
-
-MODULES = 8  # black edge to black edge of the family 36h11; a white border of one belongs around it
-
-
-def broken_landmark_rules(landmarks: Landmarks, tank: Tank) -> Iterator[tuple[str, str]]:
-    """Every mistake as (key, what to change)."""
-    if not landmarks.tag:
-        yield "landmarks.tag", "there is none; add one, or remove the table [landmarks]"
-    first: dict[int, int] = {}
-    for i, tag in enumerate(landmarks.tag):
-        key = f"landmarks.tag[{i}]"
-        if tag.id in first:
-            yield f"{key}.id", f"tag {tag.id} is already tag[{first[tag.id]}]; a robot could not tell them apart"
-        first.setdefault(tag.id, i)
-        if (wrong := _wrong_place(tag, landmarks.size_m, tank)) is not None:
-            yield f"{key}.position_m", wrong
-        for other in landmarks.tag[:i]:
-            if other.face == tag.face and _overlap(other, tag, landmarks.size_m):
-                why = f"tag {tag.id} and tag {other.id} overlap on {tag.face}; leave {landmarks.size_m / MODULES:.3g} m"
-                yield f"{key}.position_m", f"{why} of white between them"
-
-
-def _wrong_place(tag: Tag, size_m: float, tank: Tank) -> str | None:
-    """Why a tag cannot be there; None where it can."""
-    axis, at_m = plane(tag.face, tank)
-    if abs(tag.position_m[axis] - at_m) > OFF_M:
-        name, is_m = "xyz"[axis], tag.position_m[axis]
-        return f"{name} is {is_m:g} m, and {tag.face} lies at {name} = {at_m:g}; correct the place or the face"
-    places = corners(tag, size_m)
-    if max(z for _, _, z in places) > tank.surface_m:
-        return f"tag {tag.id} reaches above the surface, at {tank.surface_m:g} m; lower it"
-    for i, name in enumerate("xyz"):
-        lowest, highest = min(p[i] for p in places), max(p[i] for p in places)
-        if i != axis and (lowest < -1e-9 or highest > tank.size_m[i] + 1e-9):
-            where = f"{name} from {lowest:.3g} to {highest:.3g} m"
-            return f"tag {tag.id} reaches over the edge of {tag.face}, {where}; move it inwards"
-    return None
-
-
-def _overlap(a: Tag, b: Tag, size_m: float) -> bool:
-    """Whether two squares of one face, with half a module of white around each, share a point.
-
-    Convex figures are apart where one of their edges has them on its two sides (separating axis).
-    """
-    reach_m = 0.5 * size_m * (1.0 + 1.0 / MODULES)
-    apart = [q - p for p, q in zip(a.position_m, b.position_m, strict=True)]
-    turn = math.radians(b.turn_deg - a.turn_deg)
-    span_m = reach_m * (1.0 + abs(math.cos(turn)) + abs(math.sin(turn)))  # of one along the other's edges, and its own
-    return all(
-        abs(sum(p * q for p, q in zip(apart, edge, strict=True))) < span_m - 1e-9 for edge in (*axes(a), *axes(b))
-    )
-
-
-# @@ light_rules
-# What may not be in a fleet file of robots that light for each other, or that have lamps and do not.
-
-MOST_LAMPS = 8  # that a lease can name
-LEAST_GUARD_S = 0.1  # two steps: there and back
-
-
-def broken_light_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
-    """Every mistake as (key, what to change)."""
-    lamps = [name for name, robot in fleet.robot.items() if robot.lamp]
-    if fleet.lighting is None:
-        for name in lamps:
-            yield (
-                f"robot.{name}.lamp",
-                "nobody says in what water lamps burn; add a table [lighting], or remove the key",
-            )
-        return
-    if not lamps:
-        yield "lighting", "nobody has a lamp; write lamp = true under the robots that have one, or remove the table"
-    if len(lamps) > MOST_LAMPS:
-        yield "lighting", f"{len(lamps)} robots have lamps, and a lease names {MOST_LAMPS} at most; leave some dark"
-    if fleet.lighting.guard_s < LEAST_GUARD_S:
-        yield "lighting.guard_s", f"{fleet.lighting.guard_s} s is over before anybody can answer; write 0.1 or more"
-    apart = [
-        (name, other)
-        for name in fleet.robot
-        for other in lamps
-        if other != name and other not in fleet.robot[name].neighbours
-    ]
-    if apart:
-        name, other = apart[0]
-        yield (
-            f"robot.{name}.neighbours",
-            f"'{other}' has a lamp and is no neighbour, so that its light would come and go unasked; "
-            f"add '{other}', or remove its lamp",
-        )
-
-
-# @@ fleet_rules
+# --- rules of every fleet ---
 # What the types of a fleet file cannot say: which values fit together, and what a robot can really be or do.
 
 MAX_PORT = 32767  # ports above are handed out by the kernel as ephemeral source ports
@@ -436,64 +287,215 @@ def _wrong_endpoint(text: str) -> str | None:
     return None
 
 
-# @@ fleet_reader
+# --- access rules ---
+# What may not be in `[access]`, and what it needs where robots listen on tls/.
+
+AUTHORITY = "ca"  # whose files lie in the same folder
 
 
-def load_fleet(path: Path) -> Fleet:
-    """Read and check a fleet file. Raises ConfigError with one line."""
-    fleet = read_fleet(path)
-    _check(fleet, path)
-    return msgspec.structs.replace(fleet, target={name: _found(t, path.parent) for name, t in fleet.target.items()})
+def broken_access_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
+    """Every mistake as (key, what to change)."""
+    if fleet.access.keys == "":
+        yield "access.keys", "no folder; write its name, or remove the key: then nothing is signed"
+    if fleet.secured and fleet.access.keys is None:
+        remedy = 'write keys = "keys", and make them with aucamp keys'
+        yield "access.keys", f"robots listen on tls/, and no folder has their certificates; {remedy}"
+    plain = [name for name, robot in fleet.robot.items() if robot.listen.startswith("tcp/")]
+    secret = [name for name, robot in fleet.robot.items() if robot.listen.startswith("tls/")]
+    if plain and secret:
+        yield f"robot.{plain[0]}.listen", f"open, while {secret[0]} listens on tls/; write all of them one way"
+    for name in secret:
+        if "[" in fleet.robot[name].listen:  # Zenoh 1.10.2: the link never comes about, and nothing says why
+            yield f"robot.{name}.listen", "no address of IPv6 can be dialled by TLS; write a name, or one of IPv4"
+    if fleet.secured or fleet.access.consoles:  # else no party has a certificate
+        yield from _name_rules(fleet)
 
 
-def read_fleet(path: Path) -> Fleet:
-    """Read a fleet file, and the file of its tags if it names one; what types cannot say is not asked. Raises
-    ConfigError with one line."""
-    data = read_toml(path)
-    landmarks = data.get("landmarks")
-    if not (isinstance(landmarks, dict) and "file" in landmarks):
-        return convert(data, Fleet, path)
-    fleet = convert({key: value for key, value in data.items() if key != "landmarks"}, Fleet, path)
-    return msgspec.structs.replace(fleet, landmarks=landmarks_of(landmarks, path, fleet.tank))
+def _name_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
+    """Each name is one party's: it is what a certificate says."""
+    whose = dict.fromkeys(fleet.robot, "a robot")
+    if AUTHORITY in whose:
+        yield f"robot.{AUTHORITY}", "is the name of the authority's files among the keys; call the robot otherwise"
+    for key, names, kind in (
+        ("access.observers", fleet.access.observers, "an observer"),
+        ("access.consoles", fleet.access.consoles, "a console"),
+    ):
+        for name in names:
+            if name == AUTHORITY:
+                yield key, f"'{name}' is the name of the authority's files among the keys; take another"
+            elif name in whose:
+                yield key, f"'{name}' is {whose[name]} already; give each robot, observer and console its own name"
+            whose[name] = kind
 
 
-def _found(target: Target, folder: Path) -> Target:
-    """Its files, which count from the fleet file's folder, by their full paths: copies of the file lie elsewhere."""
-    full = {key: str((folder / name).resolve()) for key in ("picture", "models") if (name := getattr(target, key))}
-    return msgspec.structs.replace(target, **full)
+# --- swim rules ---
+# What may not be in a fleet file of robots that swim, or of moored ones that are told to.
+
+ROUNDING_M = 1e-9  # what a centre less its radius may lack
 
 
-def load_robot(fleet: Fleet, name: str, path: Path) -> Robot:
-    """The robot called `name`, or ConfigError naming those that exist."""
-    if name not in fleet.robot:
-        raise ConfigError(f"{path}: no robot '{name}'; the file has {', '.join(fleet.robot)}")
-    return fleet.robot[name]
+def broken_swim_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
+    """Every mistake as (key, what to change)."""
+    surveys = [name for name, robot in fleet.robot.items() if isinstance(robot.behaviour, Survey)]
+    if fleet.coverage is None:
+        for name in surveys:
+            yield f"robot.{name}.behaviour", "nobody says what there is to see; add a table [coverage]"
+    elif not surveys:
+        yield "coverage", 'nobody surveys; give a robot the behaviour { kind = "survey" }, or remove the table'
+    if fleet.navigation is None:
+        for name, robot in fleet.robot.items():
+            if robot.behaviour is not None and not isinstance(robot.behaviour, Survey):
+                yield f"robot.{name}.behaviour", "it is moored; add a table [navigation], or remove the behaviour"
+        return
+    if fleet.landmarks is None:
+        yield "navigation", "robots that swim find themselves by landmarks; add a table [landmarks]"
+    for name, robot in fleet.robot.items():
+        if (wrong := _outside(fleet, robot.pose.x_m, robot.pose.y_m)) is not None:
+            yield f"robot.{name}.pose", wrong
+        if robot.behaviour is not None and (wrong := wrong_way(fleet, robot.behaviour)) is not None:
+            yield f"robot.{name}.behaviour", wrong
+    for (a, one), (b, other) in combinations(fleet.robot.items(), 2):
+        key = "behaviour" if isinstance(other.behaviour, Goto) else "pose"
+        apart_m = math.dist(_goal(one), _goal(other))
+        if apart_m < (least_m := fleet.navigation.limits.separation_m) + MARGIN_M:
+            why = f"{apart_m:.2f} m from '{a}', and robots keep {least_m} m and a margin apart; move one of them"
+            yield f"robot.{b}.{key}", why
 
 
-class _Told(Struct, frozen=True, kw_only=True):
-    behaviour: Behaviour
+def _goal(robot: Robot) -> tuple[float, float]:
+    """Where it is told to be in the end; of other behaviours, where it begins."""
+    there = robot.behaviour if isinstance(robot.behaviour, Goto) else robot.pose
+    return there.x_m, there.y_m
 
 
-def with_behaviour(fleet: Fleet, name: str, text: str) -> Fleet:
-    """The fleet, one of whose robots does something else: `text` is what stands behind `behaviour =` in a fleet file,
-    such as { kind = "hold" }. Raises ConfigError with one line."""
-    try:
-        data = tomllib.loads(f"behaviour = {text}")
-        told = msgspec.convert(data, _Told).behaviour
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(
-            f"""--behaviour {text}: not valid TOML: {error}; write it as in the fleet file: '{{ kind = "hold" }}'"""
-        ) from None
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"--behaviour: {explain(error, data, _Told)}") from None
-    told_so = msgspec.structs.replace(fleet.robot[name], behaviour=told)
-    fleet = msgspec.structs.replace(fleet, robot={**fleet.robot, name: told_so})
-    for key, remedy in broken_rules(fleet):
-        raise ConfigError(f"--behaviour: key '{key}': {remedy}")
-    return fleet
+def wrong_way(fleet: Fleet, what: Behaviour) -> str | None:
+    """Why a robot cannot do that in this tank; None where it can."""
+    if isinstance(what, Goto):
+        if what.depth_m is not None and what.depth_m > fleet.tank.surface_m:
+            return f"{what.depth_m} m is below the floor; the water is {fleet.tank.surface_m} m deep"
+        return _outside(fleet, what.x_m, what.y_m)
+    if isinstance(what, Follow | Search) and what.target not in fleet.target:
+        return f"no target '{what.target}'; the file has {', '.join(fleet.target)}"
+    if isinstance(what, Follow) and (wrong := _too_far(fleet, what)) is not None:
+        return wrong
+    if isinstance(what, Orbit | Trial | Search):
+        assert fleet.navigation is not None
+        if abs(what.speed_m_s) > (most := fleet.navigation.limits.speed_m_s):
+            return f"{abs(what.speed_m_s)} m/s is faster than navigation.limits.speed_m_s, {most}; swim slower"
+    if isinstance(what, Trial):
+        heading = math.radians(what.yaw_deg)
+        x, y = what.half_m * math.cos(heading), what.half_m * math.sin(heading)
+        return _outside(fleet, what.x_m - x, what.y_m - y) or _outside(fleet, what.x_m + x, what.y_m + y)
+    if isinstance(what, Orbit):
+        (x, y), r = (what.x_m, what.y_m), what.radius_m
+        return _outside(fleet, x - r, y - r) or _outside(fleet, x + r, y + r)
+    return None
 
 
-def _check(fleet: Fleet, path: Path) -> None:
-    """What a type cannot say. Raises ConfigError for the first rule that is broken."""
-    for key, remedy in broken_rules(fleet):
-        raise ConfigError(f"{path}: key '{key}': {remedy}")
+def _too_far(fleet: Fleet, what: Follow) -> str | None:
+    """Why no robot can keep that distance from a target in the middle of the tank, on any side of it."""
+    most_m = 0.5 * max(fleet.tank.size_m[:2]) - WALL_M
+    if what.standoff_m <= most_m:
+        return None
+    return f"a standoff of {what.standoff_m} m does not fit into the tank; write {most_m:.2f} or less"
+
+
+def _outside(fleet: Fleet, x_m: float, y_m: float) -> str | None:
+    """Why no robot swims there; None where it can."""
+    length_m, breadth_m, _ = fleet.tank.size_m
+    if min(x_m, length_m - x_m, y_m, breadth_m - y_m) >= WALL_M - ROUNDING_M:
+        return None
+    return f"({x_m:.2f}, {y_m:.2f}) is less than {WALL_M} m from a wall, where no robot swims; write another place"
+
+
+# --- landmark rules ---
+# What may not be in the table [landmarks] of a fleet file.
+
+MODULES = 8  # black edge to black edge of the family 36h11; a white border of one belongs around it
+
+
+def broken_landmark_rules(landmarks: Landmarks, tank: Tank) -> Iterator[tuple[str, str]]:
+    """Every mistake as (key, what to change)."""
+    if not landmarks.tag:
+        yield "landmarks.tag", "there is none; add one, or remove the table [landmarks]"
+    first: dict[int, int] = {}
+    for i, tag in enumerate(landmarks.tag):
+        key = f"landmarks.tag[{i}]"
+        if tag.id in first:
+            yield f"{key}.id", f"tag {tag.id} is already tag[{first[tag.id]}]; a robot could not tell them apart"
+        first.setdefault(tag.id, i)
+        if (wrong := _wrong_place(tag, landmarks.size_m, tank)) is not None:
+            yield f"{key}.position_m", wrong
+        for other in landmarks.tag[:i]:
+            if other.face == tag.face and _overlap(other, tag, landmarks.size_m):
+                why = f"tag {tag.id} and tag {other.id} overlap on {tag.face}; leave {landmarks.size_m / MODULES:.3g} m"
+                yield f"{key}.position_m", f"{why} of white between them"
+
+
+def _wrong_place(tag: Tag, size_m: float, tank: Tank) -> str | None:
+    """Why a tag cannot be there; None where it can."""
+    axis, at_m = plane(tag.face, tank)
+    if abs(tag.position_m[axis] - at_m) > OFF_M:
+        name, is_m = "xyz"[axis], tag.position_m[axis]
+        return f"{name} is {is_m:g} m, and {tag.face} lies at {name} = {at_m:g}; correct the place or the face"
+    places = corners(tag, size_m)
+    if max(z for _, _, z in places) > tank.surface_m:
+        return f"tag {tag.id} reaches above the surface, at {tank.surface_m:g} m; lower it"
+    for i, name in enumerate("xyz"):
+        lowest, highest = min(p[i] for p in places), max(p[i] for p in places)
+        if i != axis and (lowest < -1e-9 or highest > tank.size_m[i] + 1e-9):
+            where = f"{name} from {lowest:.3g} to {highest:.3g} m"
+            return f"tag {tag.id} reaches over the edge of {tag.face}, {where}; move it inwards"
+    return None
+
+
+def _overlap(a: Tag, b: Tag, size_m: float) -> bool:
+    """Whether two squares of one face, with half a module of white around each, share a point.
+
+    Convex figures are apart where one of their edges has them on its two sides (separating axis).
+    """
+    reach_m = 0.5 * size_m * (1.0 + 1.0 / MODULES)
+    apart = [q - p for p, q in zip(a.position_m, b.position_m, strict=True)]
+    turn = math.radians(b.turn_deg - a.turn_deg)
+    span_m = reach_m * (1.0 + abs(math.cos(turn)) + abs(math.sin(turn)))  # of one along the other's edges, and its own
+    return all(
+        abs(sum(p * q for p, q in zip(apart, edge, strict=True))) < span_m - 1e-9 for edge in (*axes(a), *axes(b))
+    )
+
+
+# --- light rules ---
+# What may not be in a fleet file of robots that light for each other, or that have lamps and do not.
+
+MOST_LAMPS = 8  # that a lease can name
+LEAST_GUARD_S = 0.1  # two steps: there and back
+
+
+def broken_light_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
+    """Every mistake as (key, what to change)."""
+    lamps = [name for name, robot in fleet.robot.items() if robot.lamp]
+    if fleet.lighting is None:
+        for name in lamps:
+            yield (
+                f"robot.{name}.lamp",
+                "nobody says in what water lamps burn; add a table [lighting], or remove the key",
+            )
+        return
+    if not lamps:
+        yield "lighting", "nobody has a lamp; write lamp = true under the robots that have one, or remove the table"
+    if len(lamps) > MOST_LAMPS:
+        yield "lighting", f"{len(lamps)} robots have lamps, and a lease names {MOST_LAMPS} at most; leave some dark"
+    if fleet.lighting.guard_s < LEAST_GUARD_S:
+        yield "lighting.guard_s", f"{fleet.lighting.guard_s} s is over before anybody can answer; write 0.1 or more"
+    apart = [
+        (name, other)
+        for name in fleet.robot
+        for other in lamps
+        if other != name and other not in fleet.robot[name].neighbours
+    ]
+    if apart:
+        name, other = apart[0]
+        yield (
+            f"robot.{name}.neighbours",
+            f"'{other}' has a lamp and is no neighbour, so that its light would come and go unasked; "
+            f"add '{other}', or remove its lamp",
+        )

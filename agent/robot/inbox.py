@@ -1,4 +1,4 @@
-"""Payloads become letters: everything heard is decoded and checked here; what is not believed is counted."""
+"""Messages decoded and validated: everything heard is decoded and checked here; what is not believed is counted."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetState
 from agent.core.topics import LIGHT, NEAR
 
-FOR_PEOPLE = ("clock", "fleet file", "schema")  # refusals that somebody has to put right
+FOR_PEOPLE = ("clock", "fleet file", "schema")  # refusals that people have to put right
 FAULT_NS = 10_000_000_000  # how long such a thing is told after it was last seen
 
 
@@ -37,8 +37,7 @@ class Inbox(Revertible):
         lights: Lights | None = None,
     ) -> None:
         """common: digest of what all fleet files share. schema: of the messages that are taken in. neighbours: where
-        they are, of a robot that swims. survey: what is told of what was seen.
-        lights: what is told of lamps."""
+        they are, of a robot that swims. survey: what is told of what was seen. lights: what is told of lamps."""
         self._targets, self._tank, self._common, self._neighbours = targets, tank, common, neighbours
         self._survey, self._lights = survey, lights
         self._accepted = frozenset({schema})
@@ -48,7 +47,7 @@ class Inbox(Revertible):
     def receive(
         self, heard: tuple[Heard, ...], refused: tuple[DroppedPayloads, ...], status: Status, now_ns: int
     ) -> None:
-        """Give what can be believed to the mailbox and to the protocol of the target that it is about."""
+        """Give what can be believed to the latest-message cache and to the protocol of the target that it is about."""
         for turned_away in refused:
             src = turned_away.src or "a stranger"
             self._count(turned_away.reason, turned_away.count, src, "turned away unread", status, now_ns)

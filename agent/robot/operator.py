@@ -1,6 +1,6 @@
-"""Who may order what, and when: every order is judged, carried out at most once, and answered.
+"""Operators' orders: which console may order what, and when. Each is judged, carried out at most once, and answered.
 
-Nobody's clock is compared with another's: an order says which State of the robot was looked at, by the robot's own
+No two clocks are compared: an order says which State of the robot was looked at, by the robot's own
 stamp. One that goes by a State of three seconds ago or of an earlier start is refused.
 A stop, in whatever words, is never refused for its age, and no arm that was on its way undoes it.
 """
@@ -43,12 +43,12 @@ from agent.robot.verbs import (
     in_words,
 )
 
-# @@ wishes
-# What people want of a robot beside what its fleet file says, for as long as nobody orders otherwise.
+# --- overrides ---
 
 
 class Wishes(NamedTuple):
-    """In force until another order, or `resume`. None: as the fleet file says."""
+    """What people want of a robot beside what its fleet file says, in force until another order, or `resume`. None: as
+    the fleet file says."""
 
     depth_m: float | None = None
     gaze_deg: tuple[float, float] | None = None  # pan, tilt of the camera
@@ -73,15 +73,16 @@ def prevailing(before: Motors | UnsetType, ordered: Motors) -> Motors:
     return ordered if before is UNSET else max(before, ordered, key=RANK.index)
 
 
-# @@ doing
-# Orders that are in force, and what carrying one out means; who may give it, and when, is judged before (desk.py).
+# --- carrying orders out ---
 
 MOST_SEND_HZ, LEAST_SEND_HZ, MOST_PREVIEW_HZ = 20.0, 0.2, 5.0
 MIN_SIDE_PX = 8.0  # of a box that can be followed
+MOORED = "it is moored: its fleet file has no [navigation]"
 
 
 class Doing(Revertible):
-    """Of one robot, between steps."""
+    """Orders that are in force, and what carrying one out means; which console may give it, and when, is judged before
+    (Desk)."""
 
     def __init__(self, fleet: Fleet, name: str, swimmer: Swimmer | None, lights: Lights) -> None:
         self._fleet, self._robot, self._swimmer = fleet, fleet.robot[name], swimmer
@@ -205,20 +206,16 @@ class Doing(Revertible):
         within("depth_m", depth_m, SURFACE_M, self._fleet.tank.surface_m)
 
 
-MOORED = "it is moored: its fleet file has no [navigation]"
-
-
 def within(name: str, value: float, lowest: float, highest: float) -> None:
     """Raises Refusal for a value that is not."""
     if not lowest <= value <= highest:
         raise Refusal("content", f"{name}: {value:g} is not within {lowest:g} to {highest:g}")
 
 
-# @@ memory
-# What orders were answered, so that one that comes again is answered again and carried out once.
+# --- memory of answers ---
 
 ORDERS = 64  # of each console
-CONSOLES = 16  # a fleet file names fewer; where everybody may order, the one that was silent for longest is forgotten
+CONSOLES = 16  # a fleet file names fewer; where any console may order, the one that was silent for longest is forgotten
 
 
 class Answered(NamedTuple):
@@ -227,7 +224,10 @@ class Answered(NamedTuple):
 
 
 class Memory(Revertible):
-    """Of one robot, since its start; what came before that is refused by its State's incarnation."""
+    """How orders were answered, so that one that comes again is answered again and carried out once.
+
+    Since the robot's start; what came before that is refused by its State's incarnation.
+    """
 
     def __init__(self) -> None:
         self._by_console: dict[str, dict[int, Answered]] = {}  # the one that ordered last stands last
@@ -257,15 +257,15 @@ class Memory(Revertible):
             del self._by_console[next(iter(self._by_console))]
 
 
-# @@ rights
-# Who may order: whom the fleet file names, where links prove who asks; on one computer alone everybody may.
+# --- rights ---
+# The consoles that the fleet file names may order, where links prove which one asks; on one computer alone any may.
 
 LOOPBACK = re.compile(r"127(\.\d{1,3}){3}|localhost|\[::1\]")
 CONSOLE = re.compile(r"[a-z][a-z0-9_]{0,15}")
 
 
 def why_closed(fleet: Fleet, console: str) -> str:
-    """Why nobody may order by that name; empty: it may. The same at the console and at the robots."""
+    """Why no console may order by that name; empty: it may. The same at the console and at the robots."""
     if CONSOLE.fullmatch(console) is None:
         return "the name of a console is a small letter and up to 15 small letters, digits or _"
     consoles = fleet.access.consoles
@@ -281,7 +281,7 @@ def _on_loopback(listen: str) -> bool:
     return LOOPBACK.fullmatch(listen.partition("/")[2].rpartition(":")[0]) is not None
 
 
-# @@ desk
+# --- judging and answering orders ---
 
 PARTS = {**dict.fromkeys(("stop", "disarm", "surface", "arm"), "motors"), "look": "camera", "lamp": "lamp"}
 PARTS |= {"target_box": "box"}
@@ -290,7 +290,7 @@ BROKE = "the step that it came with broke, and it was left out; order again"
 
 
 class Desk(Revertible):
-    """Of one robot, between steps."""
+    """Judges the orders to one robot, has them carried out and answers them."""
 
     def __init__(
         self, fleet: Fleet, name: str, incarnation: int, swimmer: Swimmer | None, lights: Lights, log: Logbook
@@ -298,7 +298,7 @@ class Desk(Revertible):
         self._fleet, self._name, self._incarnation, self._log = fleet, name, incarnation, log
         self._doing, self._memory = Doing(fleet, name, swimmer, lights), Memory()
         self._halted_ns = -1  # when a stop or a surfacing was ordered last
-        self._holds: dict[str, str] = {}  # what each of a robot's parts is ordered to do, and by whom
+        self._holds: dict[str, str] = {}  # what each of a robot's parts is ordered to do, and by which console
         self._now: dict[tuple[str, bytes], Answer] = {}  # of this step
 
     @property
@@ -311,7 +311,7 @@ class Desk(Revertible):
         return self.wishes.sweeps and isinstance(self.wishes.behaviour, Survey | None)
 
     def looks(self, seek: Seek, now_ns: int) -> bool:
-        """Turn the camera where somebody wants it; returns whether it is taken from the target. Not in a sweep."""
+        """Turn the camera where an operator wants it; returns whether it is taken from the target. Not in a sweep."""
         if self.wishes.gaze_deg is None or seek.measuring or seek.pointing.goal_us is None:
             return False
         seek.look(*self.wishes.gaze_deg, now_ns)
@@ -319,7 +319,7 @@ class Desk(Revertible):
 
     @property
     def ordered(self) -> tuple[str, ...] | UnsetType:
-        """What people have ordered that holds, for whoever looks."""
+        """What people have ordered that holds, for telemetry."""
         return tuple(self._holds.values()) or UNSET
 
     def take(self, orders: tuple[Ordered, ...] | UnsetType, now_ns: int) -> None:
@@ -330,8 +330,8 @@ class Desk(Revertible):
     def complete(self, outputs: Outputs, orders: tuple[Ordered, ...] | UnsetType, now_ns: int) -> Outputs:
         """The outputs of a step with an answer to each order, and what they want of the devices.
 
-        Outside of the net: an order that broke the step, or came with one that came to nothing, is answered here; and
-        if it was a stop, it is one still.
+        Outside of the transaction: an order that broke the step, or came with one that came to nothing, is answered
+        here; and if it was a stop, it is one still.
         """
         if orders is UNSET:
             return outputs

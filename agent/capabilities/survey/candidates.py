@@ -1,8 +1,10 @@
 """Views that a robot might take next, and which of them it takes.
 
 They are drawn from the robot's name and the number of its next keyframe, not from chance: a replay draws the same. Of
-those that promise alike the first is taken. What others claim is added to the map first: nobody goes to see what a
-neighbour is about to see.
+those that promise alike the first is taken. What others claim is added to the map first: no robot goes to see
+what a neighbour is about to see.
+
+Rays through the map tell what a view would show, and what lamps would have to light there.
 """
 
 from __future__ import annotations
@@ -35,7 +37,7 @@ from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import camera_pose
 
-# @@ cast
+# --- rays through the map ---
 # What a camera would see from somewhere, by the map as it is: rays through cells that nothing is known to be in,
 # until one that something is in, or a wall or the floor.
 
@@ -137,7 +139,7 @@ def gain(adds: Mapping[int, int], grid: Grid, cells: Mapping[int, int]) -> int:
     return 1000 * total // goal
 
 
-# @@ candidates
+# --- candidates ---
 
 CANDIDATES = 60
 TILTS_DEG = (-55.0, 5.0)
@@ -258,7 +260,7 @@ def _shares(text: str) -> tuple[float, float, float, float]:
     return a, b, c, d
 
 
-# @@ spots
+# --- what lamps would light ---
 # What a view is expected to show, as spots for the rule that lends lamps: places, how they face, and what they count.
 #
 # Places are where rays end by the map as it is. Walls and the floor face as they do; a thing is taken to face the

@@ -3,6 +3,9 @@
 Sums of integers do not depend on the order in which keyframes came, nor on how often: which are held is known by their
 keys. Of two different ones under one key (their origin lies) that with the smaller bytes counts, and of each origin
 its newest STARTS incarnations: both are the same whatever came first.
+
+The tank is cut into cells first; then come the directions of a picture's blocks, and where the water is known to be
+empty.
 """
 
 from __future__ import annotations
@@ -20,13 +23,13 @@ from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Rotation
 from agent.core.step_transaction import Revertible
 
-# @@ grid
-# The tank cut into cells, each with a number of its own, and which of them somebody wants to see.
+# --- grid ---
+# The tank cut into cells, each with a number of its own, and which of them are wanted.
 
 ONE = 1_000_000  # of information: 1 / mm^2
 NEAREST_M, FARTHEST_M = 0.12, 1.5  # depths that count
 STEEPEST = 0.15  # cosine between a surface's normal and the ray: what is more aslant does not count
-FLOOR_MM = 2.0  # standard deviation that nobody's block is better than, whatever it says
+FLOOR_MM = 2.0  # least standard deviation of a block, whatever it says
 SIGMA_AT_M, SIGMA_UNIT_MM = 0.5, 0.01  # of what a camera says of its blocks
 
 
@@ -102,10 +105,10 @@ def _floor(value: float) -> int:
     return whole - 1 if value < whole else whole
 
 
-# @@ rays
+# --- directions of blocks ---
 # Where the blocks of a picture look, by + - * / and square roots alone: alike on every processor.
 
-UNBEND = 8  # passes that take the bend out of a slope, as in ranging/camera_model.py
+UNBEND = 8  # passes that take the bend out of a slope, as in core/ranging/camera_model.py
 Slopes = tuple[tuple[float, float], ...]
 
 
@@ -169,7 +172,7 @@ def along(r: Rotation, s: tuple[float, float]) -> Vector:
     )
 
 
-# @@ free_space
+# --- free space ---
 # Where nothing is: cells that a camera looked through to what it measured behind them.
 #
 # A block's depth is now and then quite wrong, mostly too near, where the curve of its clarity has a second peak; it
@@ -205,7 +208,7 @@ def passed(frame: Frame, grid: Grid) -> dict[int, int]:
 
 def crossed(at: Vector, way: Vector, depth_m: float, grid: Grid) -> list[int]:
     """Cells on the way from a place in the water to a depth, world direction per metre of it, in their order; as far as
-    the water reaches (Amanatides and Woo, as in `cast`)."""
+    the water reaches (Amanatides and Woo, as in candidates.cast)."""
     if not all(0.0 < p < size for p, size in zip(at, grid.size_m, strict=True)):
         return []
     nx, ny, _ = grid.shape
@@ -241,7 +244,7 @@ def is_free(number: int, hits: Mapping[int, int], passes: Mapping[int, int]) -> 
     return passes.get(number, 0) > FREE * (hits.get(number, 0) + 1)
 
 
-# @@ evidence
+# --- sums over keyframes ---
 
 STARTS = 4
 ALONE_COS = 0.7  # of a block without neighbours that tell how its surface lies
@@ -267,7 +270,7 @@ class CoverageMap(Revertible):
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
         self.held: dict[Key, Held] = {}
-        self.cells: dict[int, int] = {}  # information, grid.ONE per mm^2
+        self.cells: dict[int, int] = {}  # information, ONE per mm^2
         self.hits: dict[int, int] = {}  # blocks that end in each cell
         self.passes: dict[int, int] = {}  # and that look through it
         self.starts: dict[str, tuple[int, ...]] = {}  # incarnations of each origin, newest first

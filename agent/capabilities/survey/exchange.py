@@ -2,11 +2,11 @@
 
 Each says twice a second what it holds. A keyframe goes to a neighbour once when it is made, and again when a word of
 the neighbour that is later than that shows that it is still lacking. So maps become equal whatever is lost, and a
-fleet that has all says nothing but who has what.
+fleet that has all says nothing but which robot has what.
 
-Who measured speaks for itself: of an origin that is a neighbour and was heard of late its own word alone is taken. Of
-one that is silent, or beyond the neighbours, anybody's is, for nobody signs keyframes: a robot that lies can invent
-what such a one saw, and the price is that nobody looks there.
+The robot that measured speaks for itself: of an origin that is a neighbour and was heard of late its own word alone is
+taken. Of one that is silent, or beyond the neighbours, any robot's is, for keyframes are not signed: a robot that lies
+can invent what such a one saw, and the price is that no robot looks there.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ class Exchange(Revertible):
         self._keyframes.put(src, said, arrived_ns)
         if frame.origin == self._name and frame.incarnation >= self._incarnation:
             return
-        mine = frame.origin == self._name  # of a start before this one: whoever has it may bring it back
+        mine = frame.origin == self._name  # of a start before this one: any robot that has it may bring it back
         if frame.origin != src and not mine and self._speaks(frame.origin, arrived_ns):
             return
         if self._folds < FOLDS:

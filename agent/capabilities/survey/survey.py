@@ -66,7 +66,7 @@ from agent.core.step_io import BlockPeaks, Heard, SweepPlan
 from agent.core.step_transaction import Revertible
 from agent.core.topics import CLAIM, KEYFRAME
 
-# @@ making
+# --- keyframe of a sweep ---
 # The clarity peaks of a sweep's blocks, and where the camera was, as a keyframe.
 
 ACROSS, DOWN = 25, 19
@@ -144,7 +144,7 @@ def _is_at(place_m: Vector, hull_m: Vector) -> bool:
     return math.dist(place_m[:2], hull_m[:2]) < HULL_M and abs(place_m[2] - hull_m[2]) < HULL_HIGH_M
 
 
-# @@ survey
+# --- surveyor ---
 
 Phase = Literal["choose", "go", "look", "sweep", "done"]
 
@@ -288,8 +288,8 @@ class Surveyor(Revertible):
         return self.phase == "sweep" and peaks.sweep == self._sweeps
 
     def see(self, peaks: BlockPeaks, eye: Eye | None, hulls_m: tuple[Vector, ...], now_ns: int) -> Frame | None:
-        """What the sweep showed, from where, but for other robots, which are at hulls_m; None: nothing, or nobody knows
-        from where. Another view is chosen."""
+        """What the sweep showed, from where, but for other robots, which are at hulls_m; None: nothing, or it is not
+        known from where. Another view is chosen."""
         made = None
         if eye is not None:
             made = frame_of(peaks, eye, hulls_m, self._calibration, self._name, self._incarnation, self._number + 1)
@@ -346,11 +346,7 @@ class Surveyor(Revertible):
         )
 
 
-# @@ conduct
-# A survey as part of a robot's step: who swims where, where the camera looks, what is taken in and told.
-#
-# Of a fleet without [coverage] it does nothing; of a robot with another behaviour than `survey` it keeps the map, and
-# passes on what others saw.
+# --- survey in a robot's step ---
 
 STILL_M_S, STILL_RAD_S = 0.03, math.radians(3.0)  # a sweep takes seconds, and its frames have to lie on each other
 STEADY_NS = 300_000_000  # of a gimbal at rest, and of a body that a turn of it moved
@@ -360,12 +356,16 @@ class Swept(NamedTuple):
     """What a sweep showed, and from where."""
 
     peaks: BlockPeaks
-    eye: Eye | None  # None: nobody knows well enough
+    eye: Eye | None  # None: it is not known well enough
     hulls_m: tuple[Vector, ...]  # of other robots, world frame
 
 
 class Conduct(Revertible):
-    """Of one robot, between steps."""
+    """A survey as part of a robot's step: where the robot swims and looks for it, what is taken in and told.
+
+    Of a fleet without [coverage] it does nothing; of a robot with another behaviour than `survey` it keeps the map, and
+    passes on what others saw.
+    """
 
     def __init__(
         self,
@@ -477,7 +477,7 @@ class Conduct(Revertible):
         return tuple((robot.pose.x_m, robot.pose.y_m, surface_m - robot.depth_m) for robot in others)
 
     def _eye(self, t_ns: int, attitude: AttitudeLog, seek: Seek) -> Eye | None:
-        """Where the camera was; None: nobody knows well enough."""
+        """Where the camera was; None: it is not known well enough."""
         level = attitude.at(t_ns)
         if level is None:
             return None
