@@ -1,8 +1,8 @@
 """Operators' orders: which console may order what, and when. Each is judged, carried out at most once, and answered.
 
-No two clocks are compared: an order says which State of the robot was looked at, by the robot's own
-stamp. One that goes by a State of three seconds ago or of an earlier start is refused.
-A stop, in whatever words, is never refused for its age, and no arm that was on its way undoes it.
+No two clocks are compared: an order says which State of the robot was looked at, by the robot's own stamp. One that
+goes by a State of three seconds ago or of an earlier start is refused. A stop, in whatever words, is never refused for
+its age, and no arm that was on its way undoes it.
 """
 
 from __future__ import annotations
@@ -265,7 +265,7 @@ CONSOLE = re.compile(r"[a-z][a-z0-9_]{0,15}")
 
 
 def why_closed(fleet: Fleet, console: str) -> str:
-    """Why no console may order by that name; empty: it may. The same at the console and at the robots."""
+    """Why a console of that name may not order; empty: it may. The same at the console and at the robots."""
     if CONSOLE.fullmatch(console) is None:
         return "the name of a console is a small letter and up to 15 small letters, digits or _"
     consoles = fleet.access.consoles

@@ -1,8 +1,8 @@
 """Views that a robot might take next, and which of them it takes.
 
 They are drawn from the robot's name and the number of its next keyframe, not from chance: a replay draws the same. Of
-those that promise alike the first is taken. What others claim is added to the map first: no robot goes to see
-what a neighbour is about to see.
+those that promise alike the first is taken. What others claim is added to the map first: no robot goes to see what a
+neighbour is about to see.
 
 Rays through the map tell what a view would show, and what lamps would have to light there.
 """
