@@ -80,7 +80,7 @@ def test_frames_of_a_camera_are_stamped_by_its_driver_and_told_in_the_time_of_da
     assert all(4_900_000_000 < t_ns < 60_000_000_000 for t_ns in driver_ns)
 
 
-# @@ test_run_clock
+# --- run clock ---
 # What the followers of a clock see: a twin that comes, stands, dies and comes again. Time never steps back.
 
 LEAD_NS = 3_600_000_000_000  # an hour: nobody takes it for the time of day

@@ -186,7 +186,7 @@ def test_a_limit_of_the_twin_s_own_holds_time(ticking) -> None:
         until(lambda: it.now_ns > START_NS + 200_000_000)
 
 
-# @@ test_rate
+# --- rate ---
 # The rate by itself: steps at given times, no clock.
 
 

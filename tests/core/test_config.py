@@ -174,7 +174,7 @@ def test_what_is_no_toml_file(tmp_path) -> None:
             load_fleet(path)
 
 
-# @@ test_fleet_digest
+# --- fleet digest ---
 # Fleet files that go together have one digest, and files that do not have another.
 
 SHIPPED = ("tank", "two_balls")
@@ -261,7 +261,7 @@ def test_nor_do_orders_of_tables_ways_to_write_a_number_and_places_of_files(flee
     assert len({common(replace(fleet, target={"thing": box})) for box in boxes}) == 1
 
 
-# @@ test_access_rules
+# --- access rules ---
 # `[access]`: who looks and who orders, all links of one kind, and names that are one party's each.
 
 SECURED = TANK.replace("tcp/", "tls/") + '\n[access]\nkeys = "keys"\n'

@@ -73,7 +73,7 @@ def test_without_keys_who_is_heard_speaks_for_itself() -> None:
     assert fault(authority, "r3", "r2", now_ns=SECOND_NS + DIRECT_NS + 1) is None, "silent for long"
 
 
-# @@ test_epoch_vote
+# --- epoch vote ---
 # A new epoch: two robots want it, or are in it; one alone empties nobody's table.
 
 REST = Epoch()
@@ -177,7 +177,7 @@ def test_what_no_epoch_can_be_is_no_news(proposal) -> None:
     assert not EpochVote("r1").is_news(proposal, REST)
 
 
-# @@ test_times
+# --- times ---
 # When something was said and measured, by clocks that nobody set and mouths that may lie.
 
 HOUR_NS = 3600 * SECOND_NS

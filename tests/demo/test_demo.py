@@ -112,7 +112,7 @@ def test_a_program_is_named_as_a_shell_here_finds_it(tmp_path: Path, monkeypatch
     assert program("aucamp") == "aucamp"
 
 
-# @@ test_endpoints
+# --- endpoints ---
 # Where a demo's robots listen: the endpoints of the fleet file, unless somebody is there or is about to be.
 
 
@@ -159,7 +159,7 @@ def test_without_names_nobody_can_be_sure_of_the_files_own(wished: list[str], mo
         assert len(set(endpoints)) == 2 and all(map(is_free, endpoints))
 
 
-# @@ test_fleet
+# --- fleet ---
 # Which robots dive in a demo, and what is refused before anything is made.
 
 TANK = shipped_fleet().read_text()

@@ -296,7 +296,7 @@ def test_tables_and_figures() -> None:
     assert str(table(only).renderables[-1]).startswith("no verdict")
 
 
-# @@ test_perform
+# --- perform ---
 # What every verb of `aucamp experiment` does with its experiment: folder, bar, result.json, figures, table.
 
 VERBS = [command.name for command in app.registered_commands]

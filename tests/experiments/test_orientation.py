@@ -106,7 +106,7 @@ def test_missed_targets_are_named():
     assert missed(bad) == ["push_recovery_s p95 never, target 1.5", "hover_tilt_rms_deg 0.31, target 0.2"]
 
 
-# @@ test_orientation_settling
+# --- orientation settling ---
 # The definitions behind the orientation figures, on motions that a pencil can check.
 
 WATCH = round((LIMIT_S + STAY_S) / SAMPLE_S)

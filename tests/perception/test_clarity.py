@@ -131,7 +131,7 @@ def test_the_grid_grows_about_the_principal_point():
     assert np.abs(small - fixed).max() <= 0.5
 
 
-# @@ test_peaks
+# --- peaks ---
 # The compiled fit of many curves against the kernel's own, on curves of every kind.
 
 SWEEP = np.linspace(0, 1023, 30).round()

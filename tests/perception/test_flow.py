@@ -90,7 +90,7 @@ def test_points_that_go_away_are_lost_and_not_invented(frames, tracks):
     assert follow(tracks[0], other, STEP_NS).left.mean() < 0.3
 
 
-# @@ test_watch
+# --- watch ---
 # What a vision worker's frames say of landmarks: how often, by whose clock, and at which lens position.
 
 OFFSET_NS = 10**18  # from the camera's clock to the agent's

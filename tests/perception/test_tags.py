@@ -155,7 +155,7 @@ def test_the_tags_of_the_tests_are_as_large_as_they_say():
     assert np.ptp(px[:, 0]) == pytest.approx(600.0 * SIZE_M / 0.5)
 
 
-# @@ test_edges
+# --- edges ---
 # Corners from edges: exact on drawn edges, alike however blurred, and none where the edges do not show them.
 
 EDGES_CAMERA = CameraFit(width_px=280, height_px=240, f_px=1184.0, cx_px=90.0, cy_px=150.0, bend=0.39)

@@ -123,7 +123,7 @@ def test_closing_does_not_wait_for_the_next_frame(worker, images, monkeypatch):
     assert camera.closed
 
 
-# @@ test_frame_checks
+# --- frame checks ---
 # Frames that are none, and pictures that stand still.
 
 SIZE = (64, 48)
@@ -205,7 +205,7 @@ def test_photographs_may_repeat():
     assert set(told([camera.read() for _ in range(60)])) == {None}
 
 
-# @@ test_preview
+# --- preview ---
 # Previews: never too large, never too often, never of a part of a frame.
 
 PREVIEW_WHOLE = (640, 480)

@@ -168,7 +168,7 @@ def test_strict_tls_of_another_maker_takes_them_and_only_them(tmp_path: Path) ->
         assert shaken(tmp_path, "r1", stranger) != stranger
 
 
-# @@ test_fleet_certificates
+# --- fleet certificates ---
 # `aucamp keys` of a secured fleet: who gets what, one party more, nothing overwritten; what a process needs of it.
 
 TANK = (ROOT / "agent" / "fleets" / "tank.toml").read_text()

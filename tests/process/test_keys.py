@@ -112,7 +112,7 @@ def test_keys_of_strangers_are_none_of_its_business(keys: Path) -> None:
     assert watched.changed(0) == public(keys, *ROBOTS) and watched.fault is None
 
 
-# @@ test_signing
+# --- signing ---
 # What a robot signs can be verified by whoever gets it, and it signs nothing but its own word of this life.
 
 KEY = Ed25519PrivateKey.generate()

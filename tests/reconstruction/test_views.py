@@ -128,7 +128,7 @@ def test_a_smaller_frame_is_brought_to_the_largest_ones_scale() -> None:
     assert apart[0] < 0.15 * apart[1]
 
 
-# @@ test_fusion_oracle
+# --- fusion oracle ---
 # Our fusion of depths beside Open3D's, of the same maps: two surfaces within a fraction of a cell of each other.
 
 CELL_M, CENTRE, RADIUS_M = 5e-3, np.array([0.0, 0.0, 0.06]), 0.07
@@ -184,7 +184,7 @@ def test_open3d_fuses_the_same_depths_to_the_same_surface() -> None:
     assert off[0] <= off[1] < CELL_M / 5  # from the truth: 0.26 and 0.63 mm
 
 
-# @@ test_view
+# --- view ---
 # Pixels, depths and places of a view agree with each other and with the kernel's camera.
 
 CAMERAS = st.builds(

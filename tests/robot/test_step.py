@@ -74,7 +74,7 @@ def test_silent_devices_are_named_within_a_second_and_talk_goes_on() -> None:
     assert msgspec.structs.asdict(outputs.set_point)["depth_m"] == 0.40
 
 
-# @@ test_targets
+# --- targets ---
 # Two targets, scripted steps: each has its own mailbox, estimator and valid set, and nothing passes between them.
 
 WHERE_M = {"ball": (0.55, 0.66, 0.07), "buoy": (0.92, 0.45, 0.05)}

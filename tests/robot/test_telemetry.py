@@ -131,7 +131,7 @@ def test_a_long_text_does_not_make_a_state_too_large_for_others():
     assert len(Stepped().step(faults=("no camera: " + "x" * 10_000,)).faults[-1]) == 400
 
 
-# @@ test_sweep_outcomes
+# --- sweep outcomes ---
 # What the kernel says of each sweep in its outputs: the peak that it used, the place it gave, or why there is none.
 
 TANK = load_fleet(ROOT / "agent" / "fleets" / "tank.toml")

@@ -155,7 +155,7 @@ def test_sources_that_cannot_be_swept(planes, tmp_path):
         depth_map(f"video:{video}", tmp_path / "m.png", 40, tmp_path, None, quiet)
 
 
-# @@ test_depth_box
+# --- depth box ---
 # The range of one thing in a box: one clear peak or a reason, in a picture that grows as well.
 
 REFUSALS = {"20,115,80,40": "no texture", "70,10,100,80": "no single peak"}
@@ -217,7 +217,7 @@ def test_a_box_that_cannot_be(planes, tmp_path, box, expected):
     assert "\n" not in str(caught.value) and not (tmp_path / "map.png").exists()
 
 
-# @@ test_depth_picture
+# --- depth picture ---
 # The map as a picture: every square in its place and colour, hatched where nothing is known.
 
 
@@ -248,7 +248,7 @@ def test_ticks_are_round_and_within(low, high):
     assert np.allclose(steps, steps[0])
 
 
-# @@ test_depth_ranges
+# --- depth ranges ---
 # What is said of a calibration that does not suit, or suits in part, the lens of a sweep.
 
 OWN = replace(FOCUS, u_inf_m=0.05, b_m=0.1, rho0=0.0, width=0.1, lowest=0, highest=1)  # of the lens of PEAKS
@@ -300,7 +300,7 @@ def test_peaks_far_wider_or_narrower_than_those_of_the_calibration_are_doubtful(
         assert line.startswith("doubtful: peaks are ") and "r1.toml, which may be a calibration of another" in line
 
 
-# @@ test_reference_stacks
+# --- reference stacks ---
 # Depth from focus on the reference stacks, where they are present: against the truth of the simulated one.
 
 STACKS = DATA / "focal_stacks"

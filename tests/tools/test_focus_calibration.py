@@ -218,7 +218,7 @@ def test_rows_that_know_less_pull_less():
     assert np.mean(noise) == pytest.approx(1.0, rel=0.2)
 
 
-# @@ test_focus_direction
+# --- focus direction ---
 # Which end of a lens's numbers is near differs between drivers, and is measured, not asked.
 
 CAMERA = CameraFit(width_px=640, height_px=480, f_px=1169.0, cx_px=319.5, cy_px=239.5)
@@ -239,7 +239,7 @@ def test_calibration_finds_the_direction_and_sweeps_follow_it(b_m, rho0, nearer)
     assert lens_positions[0] < rho0 < lens_positions[-1]
 
 
-# @@ test_focus_table
+# --- focus table ---
 # The verb on a synthetic table that has the paper's curve, noise and span; it is not the paper's data.
 
 K, F_CM, C_CM = 0.3922, 0.7431, 0.7577  # the paper's printed fit; centimetres is the only plausible unit

@@ -105,7 +105,7 @@ def test_a_box_may_be_as_large_as_the_picture_or_at_its_border(folder, models, b
     assert len(lines) == 4 and lines[1] == f"000.png,,{drawn},1.00,followed"
 
 
-# @@ test_track_truth
+# --- track truth ---
 # `aucamp track --truth`: what is counted, what is written, and mistakes in one line.
 
 HERE, BESIDE = Box(10, 10, 20, 20), Box(16, 10, 20, 20)

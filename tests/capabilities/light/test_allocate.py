@@ -121,7 +121,7 @@ def test_a_set_without_its_own_lamp_is_no_error_and_an_unknown_robot_is() -> Non
         allocate("r9", scene(1.0), {"r1": own(1.0)}, HARBOUR)
 
 
-# @@ test_frames
+# --- frames ---
 # The rule for whole frames: what it expects of lamps, and that it finds the best set of its own score.
 
 FRAMES_HARBOUR = Lighting(water=WaterOptics(absorption_per_m=(0.55, 0.37, 0.45), scattering_per_m=(1.82, 1.82, 1.82)))

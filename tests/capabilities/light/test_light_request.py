@@ -87,7 +87,7 @@ def test_a_fish_is_searched_by_all_where_it_is_lit_and_the_light_is_over_when_it
     assert world.agents["r1"].targets["ball"].believed_m is not None
 
 
-# @@ test_search
+# --- search ---
 # A search by light: robots that their own lamps show nothing have places lit, and look where light is.
 
 FAR = Choice(("r2",), 12.0, 8.0, 20.0, True, 0.4, 0.05)

@@ -180,7 +180,7 @@ def test_every_measured_block_is_read_back():
     assert abs(x * x + y * y + z * z - 1.0) < 1e-6
 
 
-# @@ test_free_space
+# --- free space ---
 # What cameras look through is empty: a wrong block in the open water goes, what is really there stays.
 
 FREE_SPACE_FRAMES = drawn_frames(30)

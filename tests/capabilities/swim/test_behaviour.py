@@ -173,7 +173,7 @@ def test_three_of_them_surround_a_target_that_wanders() -> None:
     assert shown == ["follow"] * 3
 
 
-# @@ test_trial
+# --- trial ---
 # The trial that mass and drag are read from: all legs, two speeds each way, coasts, and never far from its line.
 
 TRIAL_WHAT, STEP_NS = Trial(x_m=1.5, y_m=1.0, yaw_deg=30.0), 50_000_000

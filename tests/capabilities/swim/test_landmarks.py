@@ -139,7 +139,7 @@ def test_a_landmark_faces_the_water() -> None:
     assert facing(floor, (1.0, 1.0, 0.4)) == pytest.approx(1.0)
 
 
-# @@ test_layout
+# --- layout ---
 # Corners of tags on every face, as somebody sees them who looks at it; and tables [landmarks] that cannot be.
 
 TANK = Tank(size_m=(1.5, 1.2, 0.8), surface_m=0.5)
@@ -275,7 +275,7 @@ def test_a_fleet_file_may_have_landmarks(tmp_path) -> None:
         load_fleet(path)
 
 
-# @@ test_layout_files
+# --- layout files ---
 # Tags from other files: written as the other programs do, read as our own; what cannot be used is one line.
 
 LAYOUT_FILES_TANK = load_fleet(ROOT / "agent" / "fleets" / "tank.toml")

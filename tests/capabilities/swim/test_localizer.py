@@ -74,7 +74,7 @@ def test_no_fix_by_a_rolling_shutter_while_the_robot_turns() -> None:
         assert (one.refused == "") is taken and (len(one.events) == 1) is taken
 
 
-# @@ test_gimbal_log
+# --- gimbal log ---
 # Where the gimbal pointed, by what it was told.
 
 BODY, SECOND, START_NS = Body(), 1_000_000_000, 10**18
@@ -116,7 +116,7 @@ def test_while_it_settles_it_is_about_there_first_below_the_goal(turned) -> None
         assert not gimbal.rests and gimbal.deg == pytest.approx(deg, abs=0.1)
 
 
-# @@ test_gyro
+# --- gyro ---
 # The gyro in the kernel: believed while it works, told and left out when it does not; without one nothing changes.
 
 PERIOD_NS = 20_000_000

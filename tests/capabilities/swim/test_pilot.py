@@ -253,7 +253,7 @@ def test_who_goes_through_the_middle_looks_along_the_way() -> None:
     assert to.yaw == pytest.approx(np.arctan2(0.2, 0.9))
 
 
-# @@ test_barrier
+# --- barrier ---
 # Robots keep clear: braking in closed form, half-planes against a grid, and robots that swim at each other.
 
 KNOWN = (0.0, 0.0, 0.0)

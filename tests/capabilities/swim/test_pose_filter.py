@@ -273,7 +273,7 @@ def test_yaw_goes_round() -> None:
     assert abs(abs(corrected.x[2]) - np.pi) < 0.002 and corrected.refused == 0
 
 
-# @@ test_basin
+# --- basin ---
 # A belief that runs into a wall, against draws of a Gaussian and a body that a wall stops.
 
 BASIN_S, MS = 1_000_000_000, 1_000_000

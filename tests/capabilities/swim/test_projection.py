@@ -37,7 +37,7 @@ def test_what_no_lens_position_shows_sharp_does_not_count() -> None:
     assert readable([near], SIZE_M, VIEW, fit, SHARP) == []
 
 
-# @@ test_lens_errors
+# --- lens errors ---
 # What a calibration has wrong, as it comes through a fix: against fixes with one wrong number at a time.
 
 THETA = (1.1, 0.9, 0.6, 0.3, 0.01, -0.02, 0.3, -0.5)

@@ -58,7 +58,7 @@ def test_search_waits_for_the_gimbal_and_visits_both_sides() -> None:
     assert search.offset_deg(steady=True, now_ns=now) == (0.0, 0.0)
 
 
-# @@ test_servo_path
+# --- servo path ---
 # Servos that are told another angle at each step, against a motor that is integrated in small ones.
 
 STEP_NS, FINE_S = 50_000_000, 5e-5

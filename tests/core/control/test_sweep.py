@@ -251,7 +251,7 @@ def test_frames_of_another_sweep_pass_by() -> None:
     assert sweep.finish(S) is None
 
 
-# @@ test_lens_positions
+# --- lens positions ---
 # Lens positions of a full sweep, whichever end of them is infinity.
 
 LENS_POSITIONS_FIT = replace(PLAIN, u_inf_m=0.0, lowest=200)

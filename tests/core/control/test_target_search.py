@@ -61,7 +61,7 @@ def test_after_a_look_elsewhere_it_turns_to_the_target_at_once(seek) -> None:
     assert len(again.focus) < len(plan.focus)  # it looks around the peak that it knows
 
 
-# @@ test_target_scheduler
+# --- target scheduler ---
 # TargetScheduler of the camera: robots that share an index agree on whose turn it is, and nobody starves.
 
 THREE = ("ball", "buoy", "fish")

@@ -242,7 +242,7 @@ def test_the_bound_that_these_tests_lean_on_falls_with_samples() -> None:
     assert bound_m(world, np.full(3, 40)) == pytest.approx(bound_m(world, np.full(3, 10)) / 2)
 
 
-# @@ test_by_others
+# --- by others ---
 # Where a target is without anything that one robot measured: against an estimator that never heard of that robot.
 
 S = 1_000_000_000

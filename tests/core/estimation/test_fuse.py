@@ -234,7 +234,7 @@ def test_large_swarms_vote_with_the_median_and_find_the_same() -> None:
     assert math.dist(few.x_m, many.x_m) < 0.002
 
 
-# @@ test_track_distance
+# --- track distance ---
 # Distances of tracks in place and velocity: against matrices in numpy, and what place alone does not see.
 
 SECOND_NS = 1_000_000_000

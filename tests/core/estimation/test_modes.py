@@ -84,7 +84,7 @@ def test_what_left_the_table_is_forgotten() -> None:
     assert ledger.pending({OWN: 7}, OWN, 4) == [OWN]
 
 
-# @@ test_motion
+# --- motion ---
 # Moving targets: the window is the central filter, late news included; the swarm notices motion, and rest.
 
 SECOND_NS = 1_000_000_000

@@ -190,7 +190,7 @@ def test_the_vote_leaves_out_whom_graduated_non_convexity_leaves_out() -> None:
     assert math.dist(ours.x_m, theirs.atPoint3(0)) < 0.001
 
 
-# @@ test_line
+# --- line ---
 # Lines that matrices of rank 2 leave, and what the tank says of the way along them.
 
 TANK_M = (3.0, 2.0, 0.5)

@@ -236,7 +236,7 @@ def test_bearings_of_three_robots_find_it_over_links_that_lose_a_third(shoal) ->
     assert math.sqrt(max(np.linalg.eigvalsh(full(track.A)))) > 0.3
 
 
-# @@ test_dynamics
+# --- dynamics ---
 # How a target moves unseen: the closed form against integrals, many short steps, and drawn paths.
 
 DYNAMICS_FISH = swimming(0.2, 2.0)

@@ -198,7 +198,7 @@ def test_a_robot_that_swims_puts_its_own_pose_in_place_of_the_survey():
     assert np.subtract(swims.random_m2, moored.random_m2) == pytest.approx(3.0 * lost)  # kappa times as much
 
 
-# @@ test_own_pose
+# --- own pose ---
 # An uncertain pose in what is said of a target: derivatives by differences, kappa by the sum whose limit it is.
 
 P = (4e-6, 1e-6, 2e-6, 9e-6, -3e-6, 2.5e-5)
@@ -249,7 +249,7 @@ def test_gaps_are_those_of_the_last_seconds() -> None:
     assert longest_gap_s([91 * s, 92 * s, 93 * s, 94 * s, 95 * s], 100 * s) == pytest.approx(5.0)
 
 
-# @@ test_sight_line
+# --- sight line ---
 # A frame as a bearing: the line of sight against plain geometry, its covariance against draws of what it errs by.
 
 SIGHT_LINE_BALL, BODY = Target(radius_m=0.07), Body(camera_m=(0.10, 0.02, -0.01))
@@ -396,7 +396,7 @@ def test_many_frames_from_one_place_do_not_know_the_range(straight, fair) -> Non
     assert (abs(math.dist(track.x_m, THERE)) < 2.0 * sure_m) == fair
 
 
-# @@ test_size_cue
+# --- size cue ---
 # Range from a ball's outline, and what focus and size say together.
 
 SIZE_CUE_BALL = Target(radius_m=0.07, radius_sigma_m=0.0)

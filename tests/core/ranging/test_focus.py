@@ -166,7 +166,7 @@ def test_sigma_has_a_floor():
     assert 0.1 < peak.sigma < 2.0  # the model itself, without noise
 
 
-# @@ test_depth_of_field
+# --- depth of field ---
 # L(v) against the blur circles of a thin lens, and the note's figures for a small module.
 
 F, G, D = 3.6e-3, 2.0, 1.12e-6

@@ -59,7 +59,7 @@ def test_what_cannot_be_read_is_nothing() -> None:
     assert heard(STATE, LINE, robot="r1") is None
 
 
-# @@ test_newest
+# --- newest ---
 # What is passed on as what is so now, and what is too old for that.
 
 AHEAD_NS = 3600 * S  # the robot's clock, of ours
@@ -107,7 +107,7 @@ def test_a_new_start_has_a_clock_of_its_own() -> None:
     assert newest.fresh("r1", START_NS + S, START_NS + S) is not None
 
 
-# @@ test_vehicle
+# --- vehicle ---
 # A State as a vehicle: directions, modes, and what nobody knows.
 
 MOORED = Robot(

@@ -140,7 +140,7 @@ def test_what_is_no_recording_of_a_fleet_is_one_line(tmp_path) -> None:
         Reel(tmp_path / "x.mcap")
 
 
-# @@ test_came
+# --- came ---
 # What came of a recording, on the page: the very words, pictures and figures of its report.
 
 

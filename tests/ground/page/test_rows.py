@@ -90,7 +90,7 @@ def test_bytes_that_are_no_message_are_refused() -> None:
         ROWS.message(LOG, {"robot": "r1"}, encode(state()))
 
 
-# @@ test_board
+# --- board ---
 # One message of a key is on its way to a page; what it has not drawn in time it never gets.
 
 

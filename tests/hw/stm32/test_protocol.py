@@ -167,7 +167,7 @@ def test_a_cancelled_order_disturbs_nobody():
     assert protocol.is_answered()
 
 
-# @@ test_board_reboot
+# --- board reboot ---
 # A latched board is rebooted by a person's order, one with its motors on is not.
 
 
@@ -246,7 +246,7 @@ def test_a_refusal_to_arm_names_the_way_out():
     assert line is not None and "put it right" in line.text
 
 
-# @@ test_orders
+# --- orders ---
 # Orders through the driver: futures that always end, repeats, and parameters that a restart does not lose.
 
 
@@ -332,7 +332,7 @@ def test_a_tap_sees_all_bytes_of_both_directions(desk, tmp_path):
         assert not from_board or framer.rx_ok >= frames
 
 
-# @@ test_versions
+# --- versions ---
 # Boards and hosts of two versions of the protocol: the older one is served as it always was.
 
 HOST_BOOT = 9

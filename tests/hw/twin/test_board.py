@@ -109,7 +109,7 @@ def test_an_unknown_interpreter_is_an_error_that_leaves_nothing(tmp_path, firmwa
     assert not os.path.lexists(board.port)
 
 
-# @@ test_cycle_times
+# --- cycle times ---
 # The board's time in the twin: ticks lost, pulses late, telemetry at the end of a cycle; and the table itself.
 
 SET_POINT, TELEM, STATUS = (wire.SIZE[kind] + wire.OVERHEAD + 2 for kind in (wire.SETPOINT, wire.TELEM, wire.STATUS))
@@ -214,7 +214,7 @@ def test_a_record_is_whole_nanoseconds_in_the_order_of_the_hal():
     assert NO_TIME.record() == "0 0 0 0 0 0 0"
 
 
-# @@ test_watchdog
+# --- watchdog ---
 # A firmware that dies or hangs: what its robot does meanwhile, when it is reset, and who is told.
 
 
@@ -294,7 +294,7 @@ def test_a_twin_that_catches_up_on_lost_time_resets_nobody(plunge):
     assert pid(dive.boards[0]) == first
 
 
-# @@ test_slow_board
+# --- slow board ---
 # A robot whose board does not keep its cycle: who arms it, and how it hovers.
 
 CYCLE_US, SLOW_BOARD_OVERRUN_US = 5000.0, 13_333.0  # every cycle, whatever there is to do

@@ -75,7 +75,7 @@ def test_a_look_alike_wears_the_same_blotches_another_of_the_colour_does_not():
     assert pattern(name="fish", colour="silver")[0][1] != pattern(name="fish")[0][1]
 
 
-# @@ test_swimmer
+# --- swimmer ---
 # How creatures swim: within the tank and around what is in it, as fast as the scene says, by chance of their own.
 
 SIZE_M = (3.0, 2.0, 0.5)

@@ -53,7 +53,7 @@ def test_lock_step_names_who_is_silent(plunge, monkeypatch):
         run_in_lock_step(dive, 3)
 
 
-# @@ test_history
+# --- history ---
 # Poses between ticks, and those that are not kept.
 
 

@@ -133,7 +133,7 @@ def test_the_truth_is_written_for_who_judges(tmp_path):
     assert (tmp_path / "boxes.csv").read_text().splitlines()[1:] == ["5,r1,3,fish,1,2,3,4,10,4"]
 
 
-# @@ test_outline
+# --- outline ---
 # What a frame shows of a creature, and what the truth says that it shows.
 
 FISH, TWO = Creature(name="fish"), Creature(name="two", colour="silver")
@@ -209,7 +209,7 @@ def test_a_passing_one_is_smeared_and_what_rests_is_not(painter):
     assert not differs[:, : x0 - 30].any() and not differs[:, x1 + 30 :].any()
 
 
-# @@ test_lamp_in_the_dive
+# --- lamp in the dive ---
 # From a robot's pin to the light in another's camera.
 
 SWIM = ROOT / "tests" / "hw" / "twin" / "swim.toml"
@@ -281,7 +281,7 @@ def test_cameras_are_calibrated_in_daylight_and_old_scenes_have_no_lamps() -> No
     assert in_daylight(tank) is tank and lamp_place(fleet, tank) is None
 
 
-# @@ test_faults
+# --- faults ---
 # Faults on demand: scene files that ask for them, and what sensors, leak probe, battery and thrusters then do.
 
 
@@ -469,7 +469,7 @@ def test_a_thruster_dies_and_another_runs_backwards():
     assert np.all(thrust_n[1] > 1)
 
 
-# @@ test_scene_page
+# --- scene page ---
 # docs/scenes.md says what a scene file can say, and all of it can be said.
 
 PAGE = (ROOT / "docs" / "scenes.md").read_text(encoding="utf-8")

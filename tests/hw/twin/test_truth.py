@@ -84,7 +84,7 @@ def test_paths_are_rows_of_twenty_a_second(tmp_path):
     assert kept["between"] == ["r1", "r2"] and kept["least_m"] == pytest.approx(closest_m, abs=2e-4)
 
 
-# @@ test_stage
+# --- stage ---
 # Stones that move and tags that get lost: at each time of an exposure what was there then.
 
 FLEET = load_fleet(Path(__file__).parent / "swim.toml")

@@ -212,7 +212,7 @@ def test_any_colour_by_sample():
     assert sampled(Sample(blue[0], blue[-1])) is None
 
 
-# @@ test_by_lamps
+# --- by lamps ---
 # A ball in the dark by a lamp beside the camera: bright in its middle, dark at its rim: its edge looks soft.
 
 FAR_M = 0.73

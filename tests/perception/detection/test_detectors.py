@@ -90,7 +90,7 @@ def test_a_sample_that_cannot_be_read_is_one_finding(tmp_path: Path) -> None:
     assert said.level == "wrong" and "grey" in said.text
 
 
-# @@ test_creature
+# --- creature ---
 # A coloured animal among grey things and yellow robots, painted: bluish water, a bent body in two pieces.
 
 CREATURE_ORANGE, CREAM, CREATURE_YELLOW = (70, 120, 205), (200, 205, 205), (60, 190, 195)  # blue green red
@@ -161,7 +161,7 @@ def test_a_part_of_a_frame_is_placed_in_the_whole():
     assert found.radius_px is None and 0.5 <= found.score <= 1.0
 
 
-# @@ test_sampled_target
+# --- sampled target ---
 # A ball target whose colour a picture shows, from the fleet file to the detector.
 
 BLUE = expose(ball_light((0.0, 0.0, 0.8))[..., ::-1], 4)

@@ -68,7 +68,7 @@ def test_in_company_it_takes_more_to_be_found(seen, company, like, then):
     assert state(follower) == then
 
 
-# @@ test_loss
+# --- loss ---
 # A thing that leaves slowly, is hidden, or has look-alikes: lost is said, and no other thing is taken for it.
 
 WIDTH, HEIGHT, RADIUS = 240, 180, 14

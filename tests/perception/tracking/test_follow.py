@@ -135,7 +135,7 @@ def test_network_files_that_are_not_nanotrack(tmp_path):
         load_box_tracker(other, other)
 
 
-# @@ test_correlation
+# --- correlation ---
 # The filter that follows a box without any file.
 
 
@@ -175,7 +175,7 @@ def test_it_is_not_sent_away_from_a_plain_area():
     assert tuple(tracker.follow(image)) == pytest.approx((200, 150, 60, 40), abs=3)
 
 
-# @@ test_drawn_box
+# --- drawn box ---
 # A box that somebody draws in a frame that was shown: vision looks for what is in it from the next frame on.
 
 RED, YELLOW, RADIUS = (40, 40, 190), (40, 170, 190), 14  # blue green red

@@ -288,7 +288,7 @@ def test_ulps_count_the_floats_between() -> None:
     assert distance_ulps(1, 2.0) is None
 
 
-# @@ test_update
+# --- update ---
 # Accepting a change: deliberate, with a reason, and nothing but the outputs.
 
 BLIND_GIT = "#!/bin/sh\nexit 128\n"  # no checkout

@@ -42,7 +42,7 @@ def test_its_json_form_is_written_too():
     assert "beyond what can be shown" in Divergence("r1", 1, 2, difference, ()).as_json()["recorded"]
 
 
-# @@ test_older
+# --- older ---
 # Recordings of schema 1 are still read and replayed; what later schemas added is no difference, all else is.
 
 OLD = GOLDEN / "schema1"

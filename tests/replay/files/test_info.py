@@ -79,7 +79,7 @@ def test_a_recording_of_somebody_else_is_no_error(tmp_path: Path) -> None:
         info(tmp_path / "none.mcap")
 
 
-# @@ test_clock_rate
+# --- clock rate ---
 # Notes of how fast a clock goes, as they are made and as they are read.
 
 WALL_NS = START_NS - 10**12

@@ -187,7 +187,7 @@ def test_what_is_read_is_a_record(tmp_path: Path) -> None:
     assert list(read(path)) == [Record(STEP_IN.name, 0, 0, 7, b"0")]
 
 
-# @@ test_auto_recover
+# --- auto recover ---
 # A killed writer's file is mended by whoever comes next, and neither too early nor twice.
 
 

@@ -276,7 +276,7 @@ def test_of_a_thing_in_a_box_the_page_says_what_its_errors_are(run: Path) -> Non
     assert f"Of a thing in a box ({name})" in error_note(of_a_box)
 
 
-# @@ test_report_clock
+# --- report clock ---
 # How a dive's clock went, on the page of its run.
 
 
@@ -352,7 +352,7 @@ def told_of(path: Path) -> str:
     return f"{dive_s:.1f} s of dive in {wall_s:.1f} s, {dive_s / wall_s:.2f} times real time (1.60 to 2.40)"
 
 
-# @@ test_several_targets
+# --- several targets ---
 # A run about two targets: each has its own timeline, explanation, viewer channels and sections of the report.
 
 TWO = GOLDEN / "two"

@@ -190,7 +190,7 @@ def test_the_layout_of_a_survey_shows_the_map() -> None:
     assert "Plot!knows" not in panels
 
 
-# @@ test_sweep_depth
+# --- sweep depth ---
 # Depth maps of a recorded sweep: frames lie on each other by their target, and a whole sweep is told from others.
 
 FOCUS = CALIBRATION.focus

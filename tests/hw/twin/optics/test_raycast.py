@@ -143,7 +143,7 @@ def test_a_scene_in_the_dark_says_how_its_water_scatters(tmp_path) -> None:
     assert isinstance(load_scene("harbour"), Scene) and load_scene("harbour").water != SceneWater()
 
 
-# @@ test_boxes
+# --- boxes ---
 # Boxes and turned ellipsoids in a scene: where a ray meets them, against a search along it in float64.
 
 BOX_M = (1.5, 1.2, 0.5)
@@ -205,7 +205,7 @@ def test_nothing_of_a_box_is_cut_off_by_its_bounds():
     assert (identity == everywhere).all() and (identity == SOLID_ID).sum() > 5000
 
 
-# @@ test_frame
+# --- frame ---
 # Frames and depths of the tank, against geometry done another way.
 
 N = 1.333
@@ -425,7 +425,7 @@ def test_clarity_of_the_ball_peaks_once_and_where_it_is(painter, distance_m):
     assert sweep[top] - b / (2 * a) == pytest.approx(expected, abs=3)
 
 
-# @@ test_texture
+# --- texture ---
 # Surfaces keep their texture while the lens moves: only its blur may change.
 
 TEXTURE_AHEAD = np.array(

@@ -99,7 +99,7 @@ def test_scale_and_zero_errors_and_stops():
     assert follow(200.0)[-1, 0] == pytest.approx(93.0)
 
 
-# @@ test_waves
+# --- waves ---
 # A standing wave, as the sensors of a dive see it.
 
 

@@ -255,7 +255,7 @@ def test_robots_differ_between_seeds_and_the_same_seed_gives_the_same_robot():
     np.testing.assert_allclose(one["home_m"], start[:3], atol=5e-3)
 
 
-# @@ test_gyro
+# --- gyro ---
 # The twin's gyros: what they say of a turn, how much of it is noise, and which robots have one.
 
 ROBOTS = [f"r{i}" for i in range(400)]
