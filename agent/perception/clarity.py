@@ -9,6 +9,9 @@ It is taken on the raw frame: an enhancement that looks at the whole picture cha
 to the next, and so moves the peak. Luminance, gradient and sums are integers, so the results are exact. They are made
 band by band, a few rows that stay in the processor's nearest cache, so that a frame is read from memory once; each
 step has a loop of its own, over arrays of one narrow type, which is what LLVM turns into the widest vectors.
+
+Clarity of a target is taken well inside it: its silhouette is sharp at another lens position than its skin, and what is
+behind it at a third. The peaks of all blocks of a sweep are fitted at compiled speed.
 """
 
 from __future__ import annotations
@@ -249,11 +252,7 @@ def _flush(columns: Any, cols: Edges, sums: Any) -> None:
     columns[:] = 0
 
 
-# @@ region
-# The parts of a frame that count: what to read of the next one, and what clarity is taken over.
-#
-# Clarity is taken well inside a target: its silhouette is sharp at another lens position than its skin, and what is
-# behind it at a third.
+# --- clarity of a target, and the part of the next frame to read ---
 
 INNER_BOX = 0.5  # share of a box's width and height: a thing rarely fills the corners of its box
 ROI_MARGIN = 1.15  # of the ball's radius, and
@@ -264,7 +263,7 @@ UNSEEN: Clarity = (None, None)
 
 
 class Sized(Protocol):
-    """What was found: as large as a box, or as a ball."""
+    """A target that was found: it has the size of a box, or the radius of a ball."""
 
     @property
     def size_px(self) -> tuple[float, float] | None: ...
@@ -275,7 +274,7 @@ class Sized(Protocol):
 def around(centre_px: tuple[float, float] | None, radius_px: float | None, size: tuple[int, int]) -> Roi | None:
     """The part of a frame that holds a ball, its outline's blur and a little motion; None: the whole frame.
 
-    What is no ball has no radius, and a tracker compares whole frames.
+    A target that is no ball has no radius, and its tracker compares whole frames.
     """
     if centre_px is None or radius_px is None:
         return None
@@ -288,7 +287,7 @@ def around(centre_px: tuple[float, float] | None, radius_px: float | None, size:
 
 
 def prepare() -> None:
-    """Load the compiled code now, for 0.3 s of a core, and not while somebody waits for what a first frame shows."""
+    """Load the compiled code now, which takes 0.3 s of a core, so that the first frame is not late for it."""
     frame = Frame(0, 0, np.zeros((16, 16, 3), np.uint8), Roi(0, 0, 16, 16))
     disc_clarity(frame, (8.0, 8.0), 8.0)
     box_clarity(frame, (8.0, 8.0), (16.0, 16.0))
@@ -333,14 +332,13 @@ def _span(middle: float, length: float, limit: int) -> tuple[int, int]:
     return max(0, first), min(limit, first + round(length))
 
 
-# @@ peaks
-# The peaks of all blocks of a sweep at compiled speed: the matched fit of agent.core.ranging.focus, curve by curve.
+# --- peaks of all blocks of a sweep ---
 #
-# The kernel fits one curve a sweep and stays in numpy, so that it replays to the bit. A depth map fits a hundred and
-# more at once, and is to cost no more than four passes over the bytes of its frames. From 30 frames of 640x480 to 108
-# depths it costs 4.5 with this fit and 6.2 with the kernel's, 3.6 of them for clarity (medians of one run on a busy
-# machine; `make bench` has all three). Both follow the same steps; sums are added in another order, so results agree
-# to rounding (a test holds them together to 1e-9).
+# The matched fit of agent.core.ranging.focus, curve by curve. The kernel fits one curve a sweep and stays in numpy, so
+# that it replays to the bit. A depth map fits a hundred and more at once, and is to cost no more than four passes over
+# the bytes of its frames. From 30 frames of 640x480 to 108 depths it costs 4.5 with this fit and 6.2 with the kernel's,
+# 3.6 of them for clarity (medians of one run on a busy machine; `make bench` has all three). Both follow the same
+# steps; sums are added in another order, so results agree to rounding (a test holds them together to 1e-9).
 
 
 def block_peaks(lens_positions: Array, curves: Array, method: Method = "matched") -> Peaks:
@@ -417,7 +415,8 @@ def _refine(x: Array, dy: Array, x0: float, w: float, tolerance: float) -> Any:
 
 @kernel
 def _at(x: Array, dy: Array, x0: float, w: float, model: Array) -> Any:
-    """What focus._at says of one curve: sum of squares, height, steps of x0 and w, variance of x0 for unit noise."""
+    """Of one curve, as `_at` of agent.core.ranging.focus: sum of squares, height, steps of x0 and w, variance of x0
+    for unit noise."""
     n = x.size
     t_sum = s_sum = q_sum = tt = ty = ss = qq = sq = st = qt = 0.0
     _derivatives(x, x0, w, model)

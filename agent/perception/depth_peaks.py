@@ -1,4 +1,8 @@
-"""The clarity peaks of squares on a grid, and of each that has none to be believed, why."""
+"""Clarity peaks over one sweep of the focus: of squares on a grid, of one box, and how much the picture grows.
+
+A block without a peak to be believed has a `Reason`. A block that holds two depths gives way to its parts. Peaks are
+lens positions; a calibration turns them into ranges. Growth of the picture (focus breathing) is measured on the sweep.
+"""
 
 from __future__ import annotations
 
@@ -19,164 +23,9 @@ from agent.perception.clarity import INNER_BOX, block_peaks, tenengrad_grid
 from agent.perception.tracking.appearance import Box
 from hw.camera.camera import Image
 
-# @@ gradient
-# Luminance and gradient of a whole picture, by OpenCV: for who needs no compiled code, and is spared its import.
-
-Grey = NDArray[np.uint8]  # (height, width)
-
-
-def luminance(image: NDArray[np.uint8]) -> Grey:
-    """(height, width, 3) blue green red, or already grey -> (height, width)."""
-    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)  # type: ignore[return-value]
-
-
-def gradient_energy(grey: Grey) -> NDArray[np.float32]:
-    """Gx^2 + Gy^2 of every pixel, (height, width); the image goes on as its own mirror beyond its border."""
-    gx, gy = (g.astype(np.float32) for g in cv2.spatialGradient(grey, borderType=cv2.BORDER_REFLECT_101))
-    return gx * gx + gy * gy  # at most 2.1e6: exact in single precision
-
-
-# @@ breathing
-# Focus breathing: how much a picture grows while the lens moves, measured on the sweep itself.
-#
-# A lens that focuses nearer stands farther from the sensor and its picture grows as v/f, by some three percent from
-# infinity to 0.15 m; against equal lens steps that is a straight line. Frames a few steps apart are blurred nearly
-# alike, so they can be registered (enhanced correlation coefficient, Evangelidis and Psarakis 2008).
-
-Warp = NDArray[np.float32]  # (2, 3)
-
-WIDTH_PX = 320  # about what a picture is reduced to: on the twin as true as 640 in a tenth of the time; at 200 it fails
-SMALLEST_PX = 64  # of a picture's shorter side: below it 0.5 percent is no shift that can be seen
-LINKS = 6  # stretches that a sweep is cut into
-ITERATIONS, TOLERANCE = 15, 3e-3  # of one link, which begins where the last one ended: growth is alike in all
-SMOOTH_PX = 5  # Gaussian before the gradients
-MIN_CORRELATION = 0.7  # of registered frames; noise on blurred frames leaves 0.8
-AGREE = (0.2, 1e-4)  # share of the growth, and growth a step, within which links, across and down, are alike
-GROWTH_POWER = 0.7  # of the picture's size, by which clarity a pixel falls when nothing but the size changes
-MAX_STEP = 0.01  # growth from one frame to the next that is believed: seven times that of a small module
-
-
-def measure_growth(images: Sequence[NDArray[np.uint8]]) -> float | None:
-    """Relative growth of the picture from the first frame to the last, frames at equal lens steps; None: unknown.
-
-    Frames are (height, width, 3) blue green red, or grey. The scene stands still. What moves all of the picture alike,
-    or stretches it one way only, is not growth.
-    """
-    count, scale = len(images), 1 / max(1, round(images[0].shape[1] / WIDTH_PX))
-    ends = [round(k) for k in np.linspace(0, count - 1, min(LINKS, count - 1) + 1).tolist()]
-    small = {k: _scaled(luminance(images[k]), scale) for k in ends}
-    if min(small[0].shape) < SMALLEST_PX:
-        return None
-    links, start = [], np.eye(2, 3, dtype=np.float32)
-    for a, b in itertools.pairwise(ends):
-        growth, start = step_growth(small[a], small[b], b - a, start)
-        links.append(growth)
-    known = [growth for growth in links if growth is not None]
-    if not known:
-        return None
-    middle = float(np.median(known))
-    agreeing = [growth for growth in known if alike(growth, middle)]
-    return float(np.mean(agreeing)) * (count - 1) if 2 * len(agreeing) >= len(links) else None
-
-
-def _scaled(grey: Grey, scale: float) -> Grey:
-    return np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-
-
-def step_growth(a: Grey, b: Grey, steps: int, start: Warp) -> tuple[float | None, Warp]:
-    """Relative growth a step, from frame a to frame b `steps` later; None where they cannot be registered.
-
-    start: the warp (2, 3) to begin at. With the growth comes the warp found, or `start` where none is.
-    """
-    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, ITERATIONS, TOLERANCE)
-    everywhere = np.full(a.shape, 255, np.uint8)
-    try:
-        correlation, warp = cv2.findTransformECC(a, b, start.copy(), cv2.MOTION_AFFINE, stop, everywhere, SMOOTH_PX)
-    except cv2.error:  # OpenCV's word for: does not converge, as on a picture without texture
-        return None, start
-    across, down = ((float(warp[i, i]) - 1.0) / steps for i in (0, 1))
-    growth = (across + down) / 2.0
-    if correlation < MIN_CORRELATION or not alike(across, down) or abs(growth) > MAX_STEP:
-        return None, start
-    return growth, np.asarray(warp, np.float32)
-
-
-def alike(a: float, b: float) -> bool:
-    return abs(a - b) <= AGREE[0] * max(abs(a), abs(b)) + AGREE[1]
-
-
-# @@ depth_box
-# The range of one thing in a sweep of the focus: what `aucamp depth-map --box` adds to the map.
-#
-# Clarity over the middle of the box, as for a target that is followed in one (perception/clarity/region.py), against
-# the lens position; then the peak and what the calibration makes of it. What the lens focuses is the surface that
-# faces it.
+# --- peaks of squares on a grid ---
 
 MIN_RISE = 24.0  # of the clearest frame over the median one, clarity per pixel: what noise of one grey level adds
-
-
-class BoxRange(NamedTuple):
-    """Sigma is in lens positions, too; the range is the z-depth from the gimbal's pivot, if calibrated."""
-
-    lens_position: float  # at which it is sharpest
-    sigma: float  # standard deviation
-    quality: float  # of the peak, 0 to 1
-    range_m: float | None = None
-    range_sigma_m: float | None = None
-
-    def __str__(self) -> str:
-        peak = f"sharpest at {self.lens_position:.5g} +- {self.sigma:.2g}, quality {self.quality:.3f}"
-        if self.range_m is None or self.range_sigma_m is None:
-            return peak
-        return f"{self.range_m:.4f} m +- {1e3 * self.range_sigma_m:.1f} mm, {peak}"
-
-
-def box_clarity(images: Sequence[Image], size: Array, box: Box) -> Array:
-    """Clarity per pixel (n,) of the middle of a box in pictures `size` (n,) times as large as the one it is drawn in.
-
-    The box grows with the picture about its centre, to whole pixels, so that it keeps its piece of the scene.
-    """
-    inner = box.grown(INNER_BOX)
-    clarity = np.empty(len(images))
-    for n, (image, scale) in enumerate(zip(images, size, strict=True)):
-        rows = _edges(inner.y, inner.height, image.shape[0], scale)
-        cols = _edges(inner.x, inner.width, image.shape[1], scale)
-        clarity[n] = tenengrad_grid(image, rows, cols)[0, 0] * scale**GROWTH_POWER
-    return clarity
-
-
-def box_range(lens_positions: Array, clarity: Array, box: Box, focus: FocusFit | None) -> BoxRange | NoPeak:
-    """Where the clarity (n,) at the lens positions (n,) has its one peak; NoPeak where it has none, or several."""
-    if clarity.max() - np.median(clarity) < MIN_RISE:
-        return NoPeak("no texture: it is as sharp at every lens position")
-    peak = fit_peak(lens_positions.tolist(), clarity.tolist())
-    if isinstance(peak, NoPeak):
-        return peak
-    sigma = math.hypot(peak.sigma, phase_sigma(peak.width, INNER_BOX**2 * box.width * box.height))
-    found = BoxRange(peak.lens_position, sigma, peak.quality)
-    if focus is None:
-        return found
-    range_m = h(focus, peak.lens_position)
-    if range_m is None:
-        return NoPeak(f"the peak at {peak.lens_position:.0f} is sharp beyond all ranges of this calibration")
-    sigma_m = math.sqrt(sum(range_variance(focus, peak.lens_position, sigma)))
-    return found._replace(range_m=range_m, range_sigma_m=sigma_m)
-
-
-def as_json(box: Box, found: BoxRange) -> str:
-    fields = found._asdict()
-    return json.dumps({"box_px": list(box), "position": fields.pop("lens_position"), **fields}, indent=1) + "\n"
-
-
-def _edges(first: float, length: float, limit: int, scale: float) -> np.ndarray:
-    """First pixel and the one behind the last; both at least 3 apart, within 0 to `limit`."""
-    middle = limit / 2
-    low, high = (round(middle + scale * (edge - middle)) for edge in (first, first + length))
-    return np.array([max(low, 0), min(max(high, low + 3), limit)])
-
-
-# @@ depth_peaks
-
 # Of a contour that is out of focus its neighbours see a slope: at r pixels its gradient is at most 1.3 / r of the sharp
 # one's, where it has spread just so far. What has less than that is sharpest where all around is most blurred.
 SPILL = 1 / 60  # of the clearest neighbour's rise: at 15 pixels from a contour, averaged over 5
@@ -273,8 +122,7 @@ def grid_peaks(
     return GridPeaks(lens_position, sigma, width, quality, reason.reshape(clarity.shape[1:]))
 
 
-# @@ depth_edges
-# Which blocks of a depth map hold one depth; of the others, which parts do.
+# --- blocks that hold one depth; of the others, parts that do ---
 #
 # A block astride an edge in depth has the curve of the side with more texture, and of the contour between them, which
 # is the nearer side's: nothing in its own curve tells it from a block with one depth. So each block is cut into cells
@@ -282,13 +130,12 @@ def grid_peaks(
 # cell's peak is good to a tenth of a step of the sweep where it has texture; a median of 3 x 3 takes out those that
 # were wrong.
 #
-# * A part lies on an edge if the cells in and around it (4 x 4) are not on a plane, or it is not where they are: a
-# plane
-#   is any surface over 25 pixels, a step is not. What light of a blurred foreground spills over the part beside it, and
-#   the contour that a part shares, is seen by the cells on the other side.
+# * A part lies on an edge if the cells in and around it (4 x 4) are not on a plane, or it is not where they are: any
+#   surface is a plane over 25 pixels, a step is not. What light of a blurred foreground spills over the part beside it,
+#   and the contour that a part shares, is seen by the cells on the other side.
 # * A block holds one depth if none of its parts is on an edge or away from the block's own peak. Beside a block of
 #   another depth its parts are asked about what lies around them, too. A steep slope is away from one peak as well: its
-#   parts are what is told. (That texture shows the depth all over the block, depth_shown.py asks.)
+#   parts are what is told. (Whether texture shows the depth all over the block, `shown` asks.)
 #
 # Limits in peak widths, because how far apart two depths must be is a matter of how blurred one is when the other is
 # sharp; never less than a fraction of the sweep's step, which is what sampling can tell.
@@ -423,12 +270,12 @@ def any_part(parts: NDArray[np.bool_], along: int) -> NDArray[np.bool_]:
     return np.asarray(by_block(parts, along).any(axis=-1), np.bool_)
 
 
-# @@ depth_shown
-# Which blocks of a depth map show their depth all over: a plain part is filled in between others, never beyond them.
+# --- blocks that show their depth all over ---
 #
-# A part without texture may lie at any depth. With parts of its block's depth all around it, it is taken for the same
-# surface, as a plain spot of it would be; at the rim of what shows that depth there may as well be another surface,
-# which has no texture: a block is not told one depth there, only its parts are.
+# A plain part is filled in between others, never beyond them. A part without texture may lie at any depth. With parts
+# of its block's depth all around it, it is taken for the same surface, as a plain spot of it would be; at the rim of
+# what shows that depth there may as well be another surface, which has no texture: a block is not told one depth there,
+# only its parts are.
 #
 # A part too weak for a peak of its own still speaks for its block, where most of what its curve does is the block's
 # peak. Light that a blurred neighbour spills over it does the opposite: that is least where the neighbour is sharp.
@@ -436,7 +283,7 @@ def any_part(parts: NDArray[np.bool_], along: int) -> NDArray[np.bool_]:
 MOST = 0.75  # of the variance of a part's curve is its block's peak, or it does not speak for it
 REACH = 2  # parts to either side: as far as a plain spot is filled in from
 NEIGHBOURS = np.array([(y, x) for y in range(-REACH, REACH + 1) for x in range(-REACH, REACH + 1) if (y, x) != (0, 0)])
-HALVES = (NEIGHBOURS @ NEIGHBOURS.T > 0).astype(np.float32)  # (half planes, AROUND): what lies on one side of a line
+HALVES = (NEIGHBOURS @ NEIGHBOURS.T > 0).astype(np.float32)  # (half planes, NEIGHBOURS): those on one side of a line
 
 
 def shown(lens_positions: Array, clarity: Array, blocks: GridPeaks, parts: GridPeaks, step: float) -> NDArray[np.bool_]:
@@ -476,3 +323,154 @@ def enclosed(depth: Array, block: Array, apart: Array) -> NDArray[np.bool_]:
     moved = (wide[REACH + y : REACH + y + rows, REACH + x : REACH + x + cols] for y, x in NEIGHBOURS)
     same = np.stack([np.abs(one - block) <= apart for one in moved], axis=-1)
     return np.asarray((same.astype(np.float32) @ HALVES > 0).all(axis=-1), np.bool_)
+
+
+# --- range of one box ---
+#
+# This is what `aucamp depth-map --box` adds to the map. Clarity is taken over the middle of the box, as for a target
+# that is followed in one, against the lens position; then come the peak and what the calibration makes of it. What the
+# lens focuses is the surface that faces it.
+
+
+class BoxRange(NamedTuple):
+    """Sigma is in lens positions, too; the range is the z-depth from the gimbal's pivot, if calibrated."""
+
+    lens_position: float  # at which it is sharpest
+    sigma: float  # standard deviation
+    quality: float  # of the peak, 0 to 1
+    range_m: float | None = None
+    range_sigma_m: float | None = None
+
+    def __str__(self) -> str:
+        peak = f"sharpest at {self.lens_position:.5g} +- {self.sigma:.2g}, quality {self.quality:.3f}"
+        if self.range_m is None or self.range_sigma_m is None:
+            return peak
+        return f"{self.range_m:.4f} m +- {1e3 * self.range_sigma_m:.1f} mm, {peak}"
+
+
+def box_clarity(images: Sequence[Image], size: Array, box: Box) -> Array:
+    """Clarity per pixel (n,) of the middle of a box in pictures `size` (n,) times as large as the one with the box.
+
+    The box grows with the picture about its centre, to whole pixels, so that it keeps its piece of the scene.
+    """
+    inner = box.grown(INNER_BOX)
+    clarity = np.empty(len(images))
+    for n, (image, scale) in enumerate(zip(images, size, strict=True)):
+        rows = _edges(inner.y, inner.height, image.shape[0], scale)
+        cols = _edges(inner.x, inner.width, image.shape[1], scale)
+        clarity[n] = tenengrad_grid(image, rows, cols)[0, 0] * scale**GROWTH_POWER
+    return clarity
+
+
+def box_range(lens_positions: Array, clarity: Array, box: Box, focus: FocusFit | None) -> BoxRange | NoPeak:
+    """Where the clarity (n,) at the lens positions (n,) has its one peak; NoPeak where it has none, or several."""
+    if clarity.max() - np.median(clarity) < MIN_RISE:
+        return NoPeak("no texture: it is as sharp at every lens position")
+    peak = fit_peak(lens_positions.tolist(), clarity.tolist())
+    if isinstance(peak, NoPeak):
+        return peak
+    sigma = math.hypot(peak.sigma, phase_sigma(peak.width, INNER_BOX**2 * box.width * box.height))
+    found = BoxRange(peak.lens_position, sigma, peak.quality)
+    if focus is None:
+        return found
+    range_m = h(focus, peak.lens_position)
+    if range_m is None:
+        return NoPeak(f"the peak at {peak.lens_position:.0f} is sharp beyond all ranges of this calibration")
+    sigma_m = math.sqrt(sum(range_variance(focus, peak.lens_position, sigma)))
+    return found._replace(range_m=range_m, range_sigma_m=sigma_m)
+
+
+def as_json(box: Box, found: BoxRange) -> str:
+    fields = found._asdict()
+    return json.dumps({"box_px": list(box), "position": fields.pop("lens_position"), **fields}, indent=1) + "\n"
+
+
+def _edges(first: float, length: float, limit: int, scale: float) -> np.ndarray:
+    """First pixel and the one behind the last; both at least 3 apart, within 0 to `limit`."""
+    middle = limit / 2
+    low, high = (round(middle + scale * (edge - middle)) for edge in (first, first + length))
+    return np.array([max(low, 0), min(max(high, low + 3), limit)])
+
+
+# --- focus breathing: how much a picture grows while the lens moves ---
+#
+# A lens that focuses nearer stands farther from the sensor and its picture grows as v/f, by some three percent from
+# infinity to 0.15 m; against equal lens steps that is a straight line. Frames a few steps apart are blurred nearly
+# alike, so they can be registered (enhanced correlation coefficient, Evangelidis and Psarakis 2008).
+
+Warp = NDArray[np.float32]  # (2, 3)
+
+WIDTH_PX = 320  # about what a picture is reduced to: on the twin as true as 640 in a tenth of the time; at 200 it fails
+SMALLEST_PX = 64  # of a picture's shorter side: below it 0.5 percent is no shift that can be seen
+LINKS = 6  # stretches that a sweep is cut into
+ITERATIONS, TOLERANCE = 15, 3e-3  # of one link, which begins where the last one ended: growth is alike in all
+SMOOTH_PX = 5  # Gaussian before the gradients
+MIN_CORRELATION = 0.7  # of registered frames; noise on blurred frames leaves 0.8
+AGREE = (0.2, 1e-4)  # share of the growth, and growth a step, within which links, across and down, are alike
+GROWTH_POWER = 0.7  # of the picture's size, by which clarity a pixel falls when nothing but the size changes
+MAX_STEP = 0.01  # growth from one frame to the next that is believed: seven times that of a small module
+
+
+def measure_growth(images: Sequence[NDArray[np.uint8]]) -> float | None:
+    """Relative growth of the picture from the first frame to the last, frames at equal lens steps; None: unknown.
+
+    Frames are (height, width, 3) blue green red, or grey. The scene stands still. What moves all of the picture alike,
+    or stretches it one way only, is not growth.
+    """
+    count, scale = len(images), 1 / max(1, round(images[0].shape[1] / WIDTH_PX))
+    ends = [round(k) for k in np.linspace(0, count - 1, min(LINKS, count - 1) + 1).tolist()]
+    small = {k: _scaled(luminance(images[k]), scale) for k in ends}
+    if min(small[0].shape) < SMALLEST_PX:
+        return None
+    links, start = [], np.eye(2, 3, dtype=np.float32)
+    for a, b in itertools.pairwise(ends):
+        growth, start = step_growth(small[a], small[b], b - a, start)
+        links.append(growth)
+    known = [growth for growth in links if growth is not None]
+    if not known:
+        return None
+    middle = float(np.median(known))
+    agreeing = [growth for growth in known if alike(growth, middle)]
+    return float(np.mean(agreeing)) * (count - 1) if 2 * len(agreeing) >= len(links) else None
+
+
+def _scaled(grey: Grey, scale: float) -> Grey:
+    return np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
+
+
+def step_growth(a: Grey, b: Grey, steps: int, start: Warp) -> tuple[float | None, Warp]:
+    """Relative growth a step, from frame a to frame b `steps` later; None where they cannot be registered.
+
+    start: the warp (2, 3) to begin at. With the growth comes the warp found, or `start` where none is.
+    """
+    stop = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, ITERATIONS, TOLERANCE)
+    everywhere = np.full(a.shape, 255, np.uint8)
+    try:
+        correlation, warp = cv2.findTransformECC(a, b, start.copy(), cv2.MOTION_AFFINE, stop, everywhere, SMOOTH_PX)
+    except cv2.error:  # OpenCV's word for: does not converge, as on a picture without texture
+        return None, start
+    across, down = ((float(warp[i, i]) - 1.0) / steps for i in (0, 1))
+    growth = (across + down) / 2.0
+    if correlation < MIN_CORRELATION or not alike(across, down) or abs(growth) > MAX_STEP:
+        return None, start
+    return growth, np.asarray(warp, np.float32)
+
+
+def alike(a: float, b: float) -> bool:
+    return abs(a - b) <= AGREE[0] * max(abs(a), abs(b)) + AGREE[1]
+
+
+# --- luminance and gradient of a whole picture, by OpenCV ---
+
+Grey = NDArray[np.uint8]  # (height, width)
+
+
+def luminance(image: NDArray[np.uint8]) -> Grey:
+    """(height, width, 3) blue green red, or already grey -> (height, width)."""
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)  # type: ignore[return-value]
+
+
+def gradient_energy(grey: Grey) -> NDArray[np.float32]:
+    """Gx^2 + Gy^2 of every pixel, (height, width); the image goes on as its own mirror beyond its border."""
+    gx, gy = (g.astype(np.float32) for g in cv2.spatialGradient(grey, borderType=cv2.BORDER_REFLECT_101))
+    return gx * gx + gy * gy  # at most 2.1e6: exact in single precision

@@ -1,8 +1,11 @@
 """One sweep of the focus over a view: clarity of its blocks, the peak of each, and the distance that it tells.
 
 Blocks without a single clear peak (no texture, sharpest outside the sweep) get no distance; those astride an edge in
-depth give way to their parts (depth_edges.py). The grid of blocks grows with the picture (focus breathing), so that a
-block keeps its piece of the scene; the picture itself is never resampled, which would change its clarity.
+depth give way to their parts. The grid of blocks grows with the picture (focus breathing), so that a block keeps its
+piece of the scene; the picture itself is never resampled, which would change its clarity.
+
+`sweep` moves the lens of a camera that stands still. `sweep_depth` takes the frames of a robot's sweep of a target, and
+`BlockSweep` whole frames of a robot that drifts.
 """
 
 from __future__ import annotations
@@ -29,6 +32,7 @@ from agent.perception.depth_peaks import (
     each_part,
     grid_peaks,
     in_doubt,
+    luminance,
     measure_growth,
     shown,
     with_edges,
@@ -39,30 +43,7 @@ from hw.camera.camera import Camera, CameraError, Image, nearest
 from hw.camera.files import StackCamera
 from replay.viewers.viewer_channels import SweepDepth, SweepFrame
 
-# @@ sharp_picture
-# One picture that is sharp everywhere, from the frames of a sweep: for the eye alone.
-
-
-def sharpest(images: Sequence[Image], grids: Sequence[tuple[Edges, Edges]], clarity: Array, reference: int) -> Image:
-    """Each square of a grid from the frame in which it and its neighbours together are sharpest.
-
-    grids: (rows, cols) of each frame, clarity (n, rows, cols). Squares differ by a pixel at most from frame to frame;
-    they are laid where they are in the frame `reference`, and what no square covers is that frame's.
-    """
-    picture = images[reference].copy()
-    around = np.array([cv2.blur(one, (3, 3), borderType=cv2.BORDER_REPLICATE) for one in clarity])
-    edges = [(rows.tolist(), cols.tolist()) for rows, cols in grids]
-    down, across = edges[reference]
-    for row, bests in enumerate(around.argmax(axis=0).tolist()):
-        for col, best in enumerate(bests):
-            top, left = edges[best][0][row], edges[best][1][col]
-            place = picture[down[row] : down[row + 1], across[col] : across[col + 1]]
-            part = images[best][top : top + place.shape[0], left : left + place.shape[1]]
-            place[: part.shape[0], : part.shape[1]] = part
-    return picture
-
-
-# @@ depth_sweep
+# --- sweep of a camera that stands still ---
 
 SWEEP_STEPS = 30  # lens positions of a camera; of a stack every photograph is used
 HOME_SETTLE_S = 0.12  # after the long way back to the starting side; small steps ring less
@@ -133,8 +114,8 @@ def sweep(
 ) -> DepthSweep:
     """Clarity of every block at every lens position, from the lowest upwards: one direction, one hysteresis.
 
-    growth: of the picture from the first position to the last, 0.03 for three percent; None measures it, and
-    takes none where the frames do not tell. Raises ConfigError for a block, a growth or a box that cannot be,
+    growth: of the picture from the first position to the last, 0.03 for three percent; None measures it, and takes 0
+    where the frames do not tell. Raises ConfigError for a block, a growth or a box that cannot be,
     CameraError for a source without focus.
     """
     width, height = camera.size
@@ -247,9 +228,29 @@ def measure(
     return DepthMap(block, blocks, parts, taken.sharp, taken.growth)
 
 
-# @@ recorded_depth
-# A depth map from the frames of a robot's own sweep: what `aucamp depth-map` measures, while the robot hangs in
-# water.
+# --- one picture that is sharp everywhere, for the eye alone ---
+
+
+def sharpest(images: Sequence[Image], grids: Sequence[tuple[Edges, Edges]], clarity: Array, reference: int) -> Image:
+    """Each square of a grid from the frame in which it and its neighbours together are sharpest.
+
+    grids: (rows, cols) of each frame, clarity (n, rows, cols). Squares differ by a pixel at most from frame to frame;
+    they are laid where they are in the frame `reference`, and what no square covers is that frame's.
+    """
+    picture = images[reference].copy()
+    around = np.array([cv2.blur(one, (3, 3), borderType=cv2.BORDER_REPLICATE) for one in clarity])
+    edges = [(rows.tolist(), cols.tolist()) for rows, cols in grids]
+    down, across = edges[reference]
+    for row, bests in enumerate(around.argmax(axis=0).tolist()):
+        for col, best in enumerate(bests):
+            top, left = edges[best][0][row], edges[best][1][col]
+            place = picture[down[row] : down[row + 1], across[col] : across[col + 1]]
+            part = images[best][top : top + place.shape[0], left : left + place.shape[1]]
+            place[: part.shape[0], : part.shape[1]] = part
+    return picture
+
+
+# --- sweep of a target by a robot in the water ---
 #
 # The robot drifts by some pixels while its lens moves, and the picture grows. Both are seen on the target: its centre
 # says where the frames lie on each other, its radius by how much they grow. That is true to a pixel or two, which
@@ -260,7 +261,8 @@ MIN_BLOCKS = 4  # across and down; less is no map
 
 
 def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> SweepDepth | None:
-    """The map of one sweep, or None where too few frames show the target, or too little around it.
+    """The map of one sweep, as `aucamp depth-map` makes it; None where too few frames show the target, or too little
+    around it.
 
     Frames without a ball are left out: nothing says where they belong. A box around something else trembles too much.
     """
@@ -311,8 +313,7 @@ def _reach(frame: SweepFrame, axis: int) -> int:
     return min(centre, frame.roi[2 + axis] - 1 - centre)
 
 
-# @@ block_sweep
-# A sweep of the focus over whole frames of a robot in the water: where the clarity of each block has its peak.
+# --- sweep over whole frames of a robot in the water ---
 #
 # The blocks are squares in the last frame. The others lie elsewhere, for the robot drifts and sways by some pixels
 # while its lens moves, and the picture grows: by how much it grows the calibration knows, and where it lies is found
@@ -322,11 +323,11 @@ def _reach(frame: SweepFrame, axis: int) -> int:
 SMALL = 4  # frames are compared at so many times fewer pixels
 MIN_RESPONSE = 0.05  # of phase correlation: below, nothing is said of how the frames lie
 MOST_PX = 40.0  # between frames that follow each other; more is no drift
-MIN_RISE = 20.0  # of a block's clarity above its median: noise of two grey levels has 96 everywhere, but no rise
+MIN_BLOCK_RISE = 20.0  # of a block's clarity above its median: noise of two grey levels has 96 everywhere, but no rise
 
 
 class BlockSweep:
-    """Frames are given in as they come; the lens positions of a plan rise."""
+    """Where the clarity of each block peaks. Frames are added as they come; the lens positions of a plan rise."""
 
     def __init__(self, plan: SweepPlan, camera: CameraFit) -> None:
         self._plan, self._camera = plan, camera
@@ -335,7 +336,7 @@ class BlockSweep:
         self._before: NDArray[np.float32] | None = None
 
     def add(self, image: Image, lens_position: int, t_ns: int) -> None:
-        """One whole frame, grey or in colour."""
+        """Take one whole frame, grey or in colour."""
         small = _reduced(image)
         shift = np.zeros(2)
         if self._before is not None:
@@ -359,7 +360,7 @@ class BlockSweep:
             return told
         clarity, whole = self._clarity(rows, cols)
         rise = clarity.max(axis=1) - np.median(clarity, axis=1)
-        asked = np.flatnonzero((rise >= MIN_RISE) & whole)
+        asked = np.flatnonzero((rise >= MIN_BLOCK_RISE) & whole)
         if not asked.size:
             return told
         found = block_peaks(positions, np.ascontiguousarray(clarity[asked]))
@@ -396,7 +397,7 @@ class BlockSweep:
 
 
 def _reduced(image: Image) -> NDArray[np.float32]:
-    grey = cv2.cvtColor(image, cv2.COLOR_BGR2GRAY) if image.ndim == 3 else image
+    grey = luminance(image)
     height, width = grey.shape
     small = cv2.resize(grey, (width // SMALL, height // SMALL), interpolation=cv2.INTER_AREA)
     return small.astype(np.float32)

@@ -1,9 +1,11 @@
-"""Where points of a key frame are in the frames after it: what odometry on the tank's planes lives on.
+"""Landmarks in a robot's frames: points followed since a key frame, and tags.
 
-Each frame is compared with the key frame itself, never with the one before: small steps would add up their errors. The
-frame before only says where to begin to look, so that the way from the key frame may be long.
+Odometry on the tank's planes lives on where the points of a key frame are in the frames after it. Each frame is
+compared with the key frame itself, never with the one before: small steps would add up their errors. The frame before
+only says where to begin to look, so that the way from the key frame may be long. Points are looked for in half size
+first, which is fast and reaches far, then in full size, which is exact.
 
-Look in half size first, which is fast and reaches far, then in full size, which is exact.
+`LandmarkWatch` does this, and reads the tags, in the frames of a vision worker.
 """
 
 from __future__ import annotations
@@ -36,8 +38,8 @@ AGREE_PX = 2.0  # between the two sizes; what slid to another point does not
 MOST = 64  # pairs in a message, the clearest points first
 KEPT, OLDEST_NS = 0.6, 4_000_000_000  # a new key frame where fewer of the points are left, or it is older
 STILL_PX = 4.0  # from frame to frame: a robot that holds turns by less than 2 degrees a second
-# After a turn: for longer than the kernel thinks that a servo may still be on its way (navigation/gimbal_log.py), for
-# it makes nothing of a key frame in which it does not know where the camera points.
+# After a turn: longer than a servo may still be on its way by the kernel's log of gimbal turns (`GimbalLog`), for the
+# kernel makes nothing of a key frame in which it does not know where the camera points.
 STILL_NS = 200_000_000
 
 
@@ -70,8 +72,10 @@ class Tracked(NamedTuple):
 
 
 def is_due(begun_ns: int, now_ns: int, left: Mask) -> bool:
-    """Whether it is time for another key frame than that of then, of whose points these are left. (How far the robot
-    went since then is not seen in a picture.)"""
+    """Whether it is time for another key frame than that of begun_ns, of whose points these are `left`.
+
+    How far the robot went since then is not seen in a picture.
+    """
     return now_ns - begun_ns > OLDEST_NS or bool(left.sum() < max(KEPT * len(left), 1))
 
 
@@ -81,8 +85,11 @@ def has_settled(begun_ns: int, now_ns: int, moved_ns: int) -> bool:
 
 
 def begin(image: Image, camera: CameraFit, t_ns: int, around: Sequence[Box] = (), moved_ns: int = 0) -> Tracked:
-    """A key frame: a whole frame (height, width, 3), with the camera at its lens position. No points on what is found
-    in it: that is neither floor nor wall, and may swim. moved_ns: when the picture was last seen to move."""
+    """A key frame: a whole frame (height, width, 3), with the camera at its lens position.
+
+    around: boxes of targets that are found in it, which get no points: they are neither floor nor wall, and may swim.
+    moved_ns: when the picture was last seen to move.
+    """
     full = green(image)
     half = _halved(full)
     free = np.full(half.shape, 255, np.uint8)
@@ -118,7 +125,7 @@ def follow(tracked: Tracked, image: Image, t_ns: int) -> Tracked:
 
 
 def flow(tracked: Tracked, camera: CameraFit) -> Flow:
-    """What the kernel is told. camera: at the lens position of the newest frame."""
+    """What the kernel gets of it. camera: at the lens position of the newest frame."""
     (k,) = np.nonzero(tracked.left)
     k = k[:MOST]
     pairs = np.hstack([tracked.key.slopes[k], to_slopes(camera, tracked.points_px[k].astype(np.float64))])
@@ -155,17 +162,16 @@ def _from_half(points: Points) -> Points:
     return np.asarray(2.0 * points + 0.5, np.float32)
 
 
-# @@ watch
-# What tells a robot where it is, in the frames of a vision worker: tags, and points followed since a key frame.
+# --- landmarks in the frames of a vision worker ---
 
-QUEUE = 64  # frames that nobody has fetched: 6 s
-WIDER = 1.2  # than a target, what points shall keep away from
+QUEUE = 64  # frames that are not fetched yet: 6 s
+WIDER = 1.2  # times a target: points keep away from so much
 REST_M = 0.9  # where the lens is sharp between sweeps
-NEAR_M = 0.5  # and from where on a tag of 8 cm can be read then; a lens as far from rest as that is still sharp enough
+NEAR_M = 0.5  # from here on a tag of 8 cm can be read then; a lens as far from rest as that is still sharp enough
 
 
 class LandmarkWatch:
-    """Filled by the worker's thread, drained by any other."""
+    """Tags and followed points of one camera's frames. The worker's thread fills it, any other drains it."""
 
     def __init__(self, camera: CameraFit, focus: FocusFit, hz: float) -> None:
         """hz: at most so many frames a second are searched; between sweeps the worker reads as many."""
@@ -181,7 +187,7 @@ class LandmarkWatch:
         self._newest_ns: int | None = None
 
     def prepare(self) -> None:
-        """Load the compiled code now, and not while somebody waits for what a first frame shows."""
+        """Load the compiled code now, so that the first frame is not late for it."""
         square = np.full((64, 64), 255, np.uint8)
         square[16:48, 16:48] = 0
         rough = np.array([[15.5, 15.5], [47.5, 15.5], [47.5, 47.5], [15.5, 47.5]])
@@ -204,11 +210,11 @@ class LandmarkWatch:
         return None if lens_position == self.rest and wanted == self._rests else wanted
 
     def rested(self, told: int, lens_position: int | None) -> None:
-        """It was told that, and says that it is there."""
+        """The lens was told this position, and reports lens_position."""
         self._rests, self.rest = told, lens_position
 
     def see(self, frame: Frame, lens_position: int | None, offset_ns: int, targets: Sequence[Sighting] = ()) -> None:
-        """Search a whole frame; `offset_ns` from the camera's clock to the agent's. targets: that were found in it."""
+        """Search a whole frame; offset_ns: from the camera's clock to the agent's. targets: those found in it."""
         t_ns = frame.t_ns + offset_ns
         found = seen_tags(frame.image, self._camera, lens_position, t_ns, frame.seq)
         if lens_position != self.rest or self._rests != self.sharp:
@@ -231,8 +237,10 @@ class LandmarkWatch:
                 self._flows.append(moved)
 
     def _shows_points(self, lens_position: int | None) -> bool:
-        """Whether a key frame may begin there: at rest, and where sweep follows sweep, at positions near it. The kernel
-        does not remember where it was longer than a key frame should last."""
+        """Whether a key frame may begin there: at rest, and where sweep follows sweep, at positions near it.
+
+        The kernel does not remember where it was longer than a key frame should last.
+        """
         if lens_position is None or self.rest is None:
             return lens_position == self.rest
         return abs(lens_position - self.rest) <= self._reach

@@ -1,4 +1,8 @@
-"""AprilTags of the family 36h11 in a frame: OpenCV finds and reads them, fitted edges say where their corners are."""
+"""AprilTags of the family 36h11 in a frame: OpenCV finds and reads them, fitted edges say where their corners are.
+
+A slope is (x, y) / (z - ahead_m) in the camera frame, where a straight edge is straight: the lens's bending is undone.
+Edges are fitted there, and corners are where they meet, sharp or defocused alike.
+"""
 
 from __future__ import annotations
 
@@ -15,11 +19,7 @@ from agent.core.step_io import SeenTag, SeenTags
 from hw.camera.camera import Image
 from hw.compiled import compiled
 
-# @@ slopes
-# Pixels to slopes and back, many at once: `camera_model.ray` and `pixel` for arrays.
-#
-# A slope is (x, y) / (z - ahead_m) in the camera frame, where a straight edge is straight: the lens's bending is
-# undone.
+# --- pixels to slopes and back: `camera_model.ray` and `pixel` for arrays ---
 
 Array = NDArray[np.float64]
 
@@ -46,11 +46,10 @@ def cross(a: Array, b: Array) -> Array:
     return out
 
 
-# @@ edge_line
-# One straight edge from black to white, as the line through the centroids of its gradient. Compiled.
+# --- one straight edge from black to white, compiled ---
 #
-# Defocus is symmetric in linear light, so the centroid of the gradient across an edge stays where it is however
-# blurred. An edge is straight only in undistorted slopes: the line is fitted there.
+# An edge is the line through the centroids of its gradient. Defocus is symmetric in linear light, so the centroid of
+# the gradient across an edge stays where it is however blurred.
 #
 # Gradients are taken twice. First all rising ones within reach: they find the line, but noise rises everywhere, most
 # on the white side, and draws the edges of a sharp tag outwards by 0.2 px (at a noise of 2 % of full light). So then
@@ -93,7 +92,8 @@ def fit_edge(plane: Plane, light: Array, start: Array, end: Array, lens: Array, 
     """Line (4,), in slopes: a point of it and the unit vector along it from start to end.
 
     plane: one colour of the picture, a byte a pixel; light (256,): linear, of each byte, 1 at the sensor's limit.
-    start, end (2,): roughly where the edge ends, pixels; the square is on the right of who goes there, y pointing down.
+    start, end (2,): roughly where the edge ends, pixels; the square is on the right of the way from start to end, y
+    pointing down.
     lens: f_px, cx_px, cy_px, bend. Returns the variance of the blur, px2, or -1 where the edge leaves the picture, is
     covered or burnt out; then `line` means nothing.
     """
@@ -269,8 +269,7 @@ def _half_width_px(rise: Array, at_px: Array) -> float:
         away += 1
 
 
-# @@ edges
-# Corners of a printed black square, where lines through its four edges meet, sharp or defocused alike.
+# --- corners of a printed black square, where its four edges meet ---
 
 MODULES = 8  # along the square's side: six of code between two of border
 REACH = 0.9  # of a module, to either side: behind the border comes code
@@ -348,7 +347,7 @@ def meeting_points(lines: Array) -> Array | None:
     return out
 
 
-# @@ tags
+# --- tags of a frame ---
 
 WINDOW_PX = 21  # of the adaptive threshold: one does what OpenCV's three do, in a quarter of the time
 LEAST_PERIMETER = 0.1  # of the picture's longer side: 16 px a side in 640
@@ -362,7 +361,7 @@ PUBLISHED_0 = ("110101", "011101", "011000", "101000", "010110", "000100")
 
 
 class Found(NamedTuple):
-    """A tag in a frame, and what only people want to know."""
+    """A tag in a frame, and what a display shows beside it."""
 
     seen: SeenTag
     corners_px: Array  # (4, 2)
@@ -381,7 +380,7 @@ def seen_tags(image: Image, camera: CameraFit, lens_position: int | None, t_ns: 
 def find_tags(image: Image, camera: CameraFit) -> list[Found]:
     """The tags of a whole frame (height, width, 3) that a robot may go by, by id. camera: at the frame's lens position.
 
-    Of two with the same id one is a picture or a copy, and which one nobody can tell, so neither counts.
+    Of two with the same id one is a picture or a copy, and nothing tells which, so neither counts.
     """
     return [one for one in all_tags(image, camera) if one.alone]
 

@@ -4,6 +4,8 @@ A Sighting flows for every frame, found or not: the kernel takes their absence f
 away, or a frame that breaks what looks at it, is a reason to open the camera again, less and less often. Newer plans
 replace older ones at the next frame. The output is bounded: an agent that stands still for a minute finds the newest
 seconds, not the whole minute.
+
+Beside the worker: checks of what the camera delivers, vision once more on recorded frames, and previews for operators.
 """
 
 from __future__ import annotations
@@ -35,8 +37,7 @@ from agent.perception.enhancement.enhance import OnDemandEnhancer, one_thread
 from agent.perception.flow import LandmarkWatch
 from hw.camera.camera import Camera, CameraError, Frame, Roi
 
-# @@ frame_checks
-# Whether what a camera delivers is a frame at all, and whether its pictures move.
+# --- checks of what a camera delivers: a frame at all, and pictures that move ---
 
 FROZEN_NS = 2_000_000_000  # for so long the same picture: eight looks at the idle rate
 FROZEN_FRAMES = 4  # and in so many frames: a machine that stood still saw few
@@ -99,14 +100,14 @@ def broke_off(error: BaseException) -> str:
     return f"{type(error).__name__} in {where[-1] if where else 'vision'}: {' '.join(str(error).split())}"[:MAX_FAULT]
 
 
-# @@ vision
+# --- the vision worker ---
 
 IDLE_PERIOD_S = 0.25  # between plans: enough to notice that the target moved or the camera died
 HOMING_S = 0.12  # a lens across its whole range: three to four frames of 30 per second
 READ_TIMEOUT_S = 0.8  # settling and many frames; less than close() waits
 RETRY_S = (0.2, 2.0)  # first and longest pause before a lost camera is opened again
 SLACK_S = 0.025  # how long a frame may be looked at before a dive's clock waits
-QUEUE = 256  # sightings nobody has fetched: 8 s of frames at 30 per second
+QUEUE = 256  # sightings that are not fetched yet: 8 s of frames at 30 per second
 
 
 class Vision:
@@ -153,9 +154,9 @@ class Vision:
         self.frames = 0
         self.errors = 0  # cameras lost or not to be opened
         self.broken = 0  # frames left out because something broke off over them
-        self.dropped = 0  # sightings that nobody fetched in time
+        self.dropped = 0  # sightings that were not fetched in time
         self.refused = 0  # plans for a camera whose focus cannot be set
-        self.fault: str | None = None  # why there is no camera now, or nobody who looks
+        self.fault: str | None = None  # why there is no camera now, or no worker
         self.frozen: str | None = None  # why its pictures are not believed to be of now
 
     def start(self) -> None:
@@ -307,7 +308,7 @@ class Vision:
         """Read a frame, find the targets in it and say so; returns what it says of the first of them.
 
         A sweep looks for one target, a ball in the part around its last place. Between sweeps each frame is
-        searched for all of them: who comes into view is noticed, whoever is being measured.
+        searched for all of them, so that a target that comes into view is noticed, whichever is being measured.
         """
         last = self._last.get(targets[0])
         whole = self._settings.enhance and self._enhancer.wants_whole(machine.monotonic_ns())
@@ -369,8 +370,7 @@ class Vision:
             self._part = None
 
 
-# @@ rerun_vision
-# Vision once more, on frames from a recording: the worker's own `sight`, without its camera and its thread.
+# --- vision once more on recorded frames: the worker's own `sight`, without its camera and its thread ---
 
 Roi4 = tuple[int, int, int, int]  # x, y, width, height in the full frame
 See = Callable[[NDArray[np.uint8], Roi4, Sighting, Sighting | None], Sighting]
@@ -394,8 +394,7 @@ def _no_camera() -> Camera:
     raise CameraError("a recording has no camera")
 
 
-# @@ preview
-# What a robot's camera sees, small enough to be sent to whoever looks: for people, never for a measurement.
+# --- previews for operators, small enough to be sent; never for a measurement ---
 #
 # Previews are dropped, never delayed: those of frames that come too soon, and of parts of frames, are not made at
 # all. With `[camera] enhance` they show what vision would look at: the enhanced frame, or the raw one where no
@@ -410,7 +409,7 @@ class Preview:
     """Makes the previews of one camera, at most `hz` a second; 0: none. Used by vision's thread.
 
     `whole`: (width, height) of a full frame, pixels. `enhancer`: what enhances the frames; None: nothing does.
-    `keep`: the frames that were shown, for a while, for whoever draws a box in one.
+    `keep`: keep the frames that were shown for a while, for an operator may draw a box in one.
     """
 
     def __init__(

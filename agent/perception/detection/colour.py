@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 
 from agent.core.config import Colour
 
-# @@ picture
-# A picture with what its own exposure says of its light: what is too dark to have a colour, and what too bright.
+# --- a picture and its exposure: what is too dark to have a colour, and what too bright ---
 #
 # A camera that takes half the light shows half of it everywhere, and one that multiplies afterwards what its sensor
 # gave ends below 255: no absolute value tells a shadow from a black rim, or a bright thing from one burnt out.
@@ -53,7 +52,7 @@ def exposed(image: Image) -> Picture:
     return Picture(image, float(dark), np.log(LIGHT + np.float32(dark)), (top if top >= FAINT else 255) - BELOW)
 
 
-# @@ colour
+# --- colours that are looked for ---
 
 AXES_RAD = np.radians([240.0, 120.0, 0.0])  # hues of blue, green, red
 
@@ -150,7 +149,7 @@ def _model(
 
 
 # Hues of 255 marked balls in real and made pictures: red -8 to 9 deg, orange 2 to 20, yellow 20 to 80, green 56 to 150.
-# Orange is what the rules of a known contest call its red buoy: who looks for red finds it as well.
+# Orange is what the rules of a known contest call its red buoy: a search for red finds it as well.
 NAMED: dict[Colour, ColourModel] = {
     "red": _model(5.0, -20.0, 24.0, _warm),
     "orange": _model(12.0, -10.0, 24.0, _warm),

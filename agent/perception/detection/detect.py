@@ -1,7 +1,8 @@
 """Find balls of one colour in a frame, sharp or defocused, whole or cut off by the edge of the frame.
 
 Colour says where one may be, shape says where it is, and both together how sure that is: whatever has some of the
-colour is a candidate, and one score decides.
+colour is a candidate, and one score decides. There are three steps: spots of the colour, the outline around each, the
+score.
 """
 
 from __future__ import annotations
@@ -43,8 +44,7 @@ from agent.perception.detection.outline_cone import (
     patch,
 )
 
-# @@ spots
-# Where in a picture a ball of a colour may be: spots that have more of its hue than what is around them.
+# --- spots that have more of a colour's hue than what is around them ---
 #
 # The picture is looked at in octaves, each half as large as the one before, so that a ball of any size is a few
 # pixels large in one of them. In each, what stands out from its surroundings gives a spot: all that is connected
@@ -172,12 +172,12 @@ def _different(found: list[Spot]) -> list[Spot]:
     return kept
 
 
-# @@ outline
-# The outline around a spot: a cone through the edge as colour shows it, and one through the edge as lightness does.
+# --- the outline around a spot ---
 #
-# Neither is right everywhere. Colour leads through shadow and texture, but JPEG blurs it and the sun burns it out;
-# lightness is sharp, but what a camera makes of light moves the edge of a blurred thing. Each counts for as much as
-# it is determined, and where they disagree the radius is the less certain.
+# It is a cone through the edge as colour shows it, and one through the edge as lightness does. Neither is right
+# everywhere. Colour leads through shadow and texture, but JPEG blurs it and the sun burns it out; lightness is sharp,
+# but what a camera makes of light moves the edge of a blurred thing. Each counts for as much as it is determined, and
+# where they disagree the radius is the less certain.
 
 BAND = 0.30  # the outline is looked for within this share of the radius inside and outside the first guess,
 BAND_FRAME = 0.05  # and within this share of the frame's width: twice the largest blur's radius;
@@ -230,8 +230,10 @@ def first_guess(points: Array, origin: Array, camera: CameraFit) -> Cone | None:
 def look(
     picture: Picture, outline: Array, centre: Array, radius: float, camera: CameraFit, width_px: float | None
 ) -> Lines | None:
-    """Lines across a predicted outline (RAYS, 2) of this radius, pixels; `width_px`: of the edge, None while it is not
-    known. None if too little of the outline is in the picture and in the light."""
+    """Lines across a predicted outline (RAYS, 2) of this radius, pixels; `width_px`: of the edge, None while unknown.
+
+    None if too little of the outline is in the picture and in the light.
+    """
     if width_px is None:
         reach = max(min(BAND * radius, BAND_FRAME * camera.width_px), LEAST_PX) / radius
     else:
@@ -243,8 +245,10 @@ def look(
 def both_edges(
     seen: Lines, found: Patch, dark: float, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
 ) -> tuple[Edge | None, Edge | None]:
-    """By colour and by lightness. `dark`: light without colour; `near`: a cone within a pixel or two; None: any may be
-    right."""
+    """By colour and by lightness.
+
+    `dark`: light without colour; `near`: a cone within a pixel or two; None: any may be right.
+    """
     gain = np.clip(found.ring.mean() / (found.ring + dark), 1.0 / MAX_GAIN, MAX_GAIN)
     coloured = colour_profile(seen, weights(found.tone.hue_rad) * gain)
     return (
@@ -312,7 +316,7 @@ def _edge(
     return Edge(cone, count / int(seen.visible.sum()), rms_px, found.width_px, sigma_px, on)
 
 
-# @@ detect
+# --- the closer look, and the score ---
 
 MIN_RADIUS_PX = 5.0  # below, a handful of pixels looks like anything: 0.07 m at f = 1169 px, beyond 16 m
 ROUGH = 0.4  # a spot farther from a circle than that, rms in radii, is none; half a ball behind a stone has 0.2
@@ -326,7 +330,7 @@ RIM = 1.6
 # What is large is near, and near paint takes so much of one plane that there it is hardly brighter than the water: up
 # to 0.45 of the strength of its colour on real balls. Views that end in the dark have 1.1 and more, under any gamma.
 LARGE_RIM = 0.7
-UNSURE, UNSURE_PX = 0.03, 1.0  # of its radius, and pixels: an outline that is known no better is nobody's
+UNSURE, UNSURE_PX = 0.03, 1.0  # of its radius, and pixels: an outline that is known no better is not used
 SLACK_RAD = 0.3  # by which the hue may be off while only the spot is known
 # How much doubt each flaw of a candidate is worth; see score().
 MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.3, 11.5, 1.3, 2.0, 1.2, 0.85, 15.0
@@ -344,7 +348,7 @@ GLOW = 1.5  # times as wide around what is burnt out
 # widest band in which an edge is looked for, 0.3 radii, the inner level is that at 0.775 of the radius; three quarters
 # and a quarter of it lie at 0.88 and 0.99: so wide is an edge that no lens has blurred.
 LIMB = 0.107  # of the radius
-LIMIT = 0.5  # of the score, for who has no reason to take another
+LIMIT = 0.5  # of the score, where there is no reason to take another
 
 
 class Ball(NamedTuple):

@@ -1,8 +1,8 @@
-"""The outline of a sphere, as a cone of rays.
+"""The outline of a sphere, as a cone of rays; its edge to a fraction of a pixel; and the disc against its surroundings.
 
-It is a circular cone of rays m around the direction of the centre: m . g = 1, with g = a / cos(theta), a the axis and
-theta the apparent angular radius. That is linear in g and exact off the optical axis, where the image is an ellipse
-and its centroid is not the centre's image.
+The outline is a circular cone of rays m around the direction of the centre: m . g = 1, with g = a / cos(theta), a the
+axis and theta the apparent angular radius. That is linear in g and exact off the optical axis, where the image is an
+ellipse and its centroid is not the centre's image.
 """
 
 from __future__ import annotations
@@ -119,8 +119,7 @@ def project(directions: Array, camera: CameraFit) -> Array:
     return px
 
 
-# @@ edges
-# The edge of a ball to a fraction of a pixel, along lines through its centre.
+# --- the edge of a ball to a fraction of a pixel, along lines through its centre ---
 #
 # A profile is one number of a pixel's light, blue green red. It falls from an inner to an outer level; the edge is
 # where it passes their mean, which a blur does not move.
@@ -232,8 +231,7 @@ def _shading(inside: Array, reach: Array, good: Mask) -> Array:
     return np.clip(ratio, 0.5, 1.5)
 
 
-# @@ patch
-# A disc in a picture against the ring around it: its tone, and how clearly the one ends where the other begins.
+# --- a disc in a picture against the ring around it ---
 
 Pixels = NDArray[np.uint8]  # (n, 3)
 
@@ -246,7 +244,7 @@ CLEAR_PX, FAR_PX = 2.0, 64.0  # there it is at least so far from the outline, fo
 
 
 class Patch(NamedTuple):
-    """Light (3,) of the ring, and the disc against it."""
+    """Light (3,) of the ring, the disc's tone against it, and how clearly the one ends where the other begins."""
 
     ring: Light
     tone: Tone

@@ -4,11 +4,12 @@
     folded   the same with fewer steps: equal to rounding
     fast     the network on a small picture, its colours carried to the full one
     classic  grey-world white balance and CLAHE: needs neither torch nor weights
-    auto     the first of folded, fast and classic that keeps a budget on this machine, by measurement; fast, or
-             classic where there is no network, for whoever has no budget
+    auto     the first of folded, fast and classic that keeps a budget on this machine, by measurement; without a
+             budget fast, or classic where there is no network
 
 Pictures are (height, width, 3) uint8, blue green red. It serves colour and the eye. Clarity is taken on the raw frame:
-a gain that depends on the whole picture changes from one lens position to the next.
+a gain that depends on the whole picture changes from one lens position to the next. `OnDemandEnhancer` serves the
+vision worker, whose frames must not be late for it.
 """
 
 from __future__ import annotations
@@ -34,17 +35,10 @@ from hw.compiled import compiled
 if TYPE_CHECKING:
     from agent.perception.enhancement.lu2net import LU2Net
 
-# @@ variants
-# The names of the ways to enhance a picture. The command line reads them before anything else: nothing heavy here.
-
 Variant = Literal["plain", "folded", "fast", "classic", "auto"]
-
-# @@ grey_world
-# White balance and local contrast: what a host without the network has, and what the network has to beat.
-#
-# Pictures are (height, width, 3) uint8, blue green red.
-
 Image = NDArray[np.uint8]
+
+# --- classic: white balance and local contrast, which the network has to beat ---
 
 MAX_GAIN = 2.5  # a plane weaker than that holds noise, not colour
 CLIP_LIMIT, TILES = 2.0, (8, 8)  # CLAHE: steep enough to lift the veil, shallow enough not to lift the noise
@@ -71,8 +65,7 @@ def classic(image: Image) -> Image:
     return clahe(white_balance(image))
 
 
-# @@ fast_enhance
-# The network's colours at a small fraction of its cost: estimate them small, carry them to the full picture.
+# --- fast: colours that are estimated small and carried to the full picture ---
 #
 # The network sees the picture shrunk to SMALL_PX pixels. What it does to each colour there is written as an affine
 # function of the three colours, one for each pixel, by a guided filter (He, Sun and Tang 2013, with colour as the
@@ -93,8 +86,9 @@ def classic(image: Image) -> Image:
 Floats = NDArray[np.float32]
 
 SMALL_PX = 160 * 120  # that the network sees: near what it was trained on (PSNR falls above), and cheap
-RADIUS = 32  # of the windows, small pixels; smaller ones smear the outline of a vivid thing over its surroundings. At
-# 16 it is 0.3 dB farther from real references; pairs of our own making, whose veil grows with range, tell no difference
+# Of the windows, small pixels; smaller ones smear the outline of a vivid thing over its surroundings. At 16 it is
+# 0.3 dB farther from real references; pairs of our own making, whose veil grows with range, tell no difference.
+RADIUS = 32
 EPSILON = 1e-3  # variance of a colour (full scale 1) below which a window says little of it, and the balance stands
 MAX_BALANCE = 4.0  # gain: a colour that is weaker in the whole picture is noise
 BRIGHTEST = 0.02  # share of the pixels that tell the light; from 0.01 to 0.1 it makes no difference to real pairs
@@ -221,7 +215,7 @@ def _apply(affine: Floats, width: int, height: int, image: Image, x0: int, y0: i
                 out[v, u, c] = np.uint8(min(max(value, np.float32(0)), np.float32(255)) + np.float32(0.5))
 
 
-# @@ enhance
+# --- the ways, and the choice between them ---
 
 BUDGET_MS = 33.0  # of one frame: 30 frames per second
 TRIALS = 5  # of each variant, on a frame of TRIAL_SIZE; the first one warms up and does not count
@@ -254,7 +248,7 @@ def default() -> Enhancer:
 
 
 def one_thread() -> None:
-    """Whoever calls this keeps the network to its own thread; torch keeps the number for each thread."""
+    """Keep the network to the calling thread; torch keeps the number for each thread."""
     if find_spec("torch") is not None:
         import torch
 
@@ -288,16 +282,15 @@ def enhancer(variant: Variant = "auto", weights: Path | None = None, budget_ms: 
 def network_enhancer(net: LU2Net, variant: Variant) -> Enhancer:
     """A network that is in memory, in one of its three ways."""
     from agent.perception.enhancement import lu2net
-    from agent.perception.enhancement import lu2net as folded_lu2net
 
     if variant == "plain":
         return Enhancer(variant, lambda image: lu2net.run(net, image))
-    quick = folded_lu2net.fold(net)
+    quick = lu2net.fold(net)
     if variant == "folded":
-        return Enhancer(variant, lambda image: lu2net.to_image(folded_lu2net.forward(quick, lu2net.to_tensor(image))))
+        return Enhancer(variant, lambda image: lu2net.to_image(lu2net.forward(quick, lu2net.to_tensor(image))))
 
     def colours(image: Image) -> NDArray[np.float32]:
-        rgb = folded_lu2net.forward(quick, lu2net.to_tensor(image))[0].clamp(0, 1).permute(1, 2, 0).numpy()
+        rgb = lu2net.forward(quick, lu2net.to_tensor(image))[0].clamp(0, 1).permute(1, 2, 0).numpy()
         return np.ascontiguousarray(rgb[:, :, ::-1])
 
     def estimate(image: Image) -> Colours:
@@ -347,9 +340,7 @@ def _median_s(work: Callable[[], object], clock: Callable[[], float]) -> float:
     return statistics.median(times[1:])
 
 
-# @@ on_demand
-# What the vision worker looks at when `[camera] enhance = true`: the frame, then the frame enhanced, none late for
-# it.
+# --- on demand: what the vision worker looks at with `[camera] enhance = true` ---
 #
 # A target is looked for in the frame as it came, and where that shows none in the enhanced frame as well
 # (docs/experiments.md, Detection, has the figures).

@@ -1,4 +1,4 @@
-"""Does a box still show what it showed when somebody drew it, and if not, where in the picture could that be now?
+"""Whether a box still shows what it showed when it was drawn, and if not, where in the picture that could be now.
 
 A tracker always answers: when its target leaves, it settles on whatever is there, and soon with the same score as
 before. So it is checked by two witnesses that know nothing of it. *Likeness*: correlation of small pictures (with a rim
@@ -15,8 +15,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-# @@ box
-# A box in a picture, and what of a picture lies in it.
+# --- a box in a picture, and what of a picture lies in it ---
 
 Image = NDArray[np.uint8]  # (height, width, 3), blue green red
 
@@ -100,8 +99,7 @@ def cut(image: Image, box: Box, size: tuple[int, int]) -> Image:
     return np.asarray(cv2.resize(part, size, interpolation=cv2.INTER_AREA if shrinks else cv2.INTER_LINEAR), np.uint8)
 
 
-# @@ colours
-# Which colours a thing has that its surroundings have not, and how much of a box shows them.
+# --- colours that a thing has and its surroundings have not ---
 #
 # A histogram of colours inside the box that was drawn, and one of all around it, give for each colour the chance that
 # it belongs to the thing (Bayes, with even odds). Colours are taken relative to the mean of the whole frame, channel
@@ -192,7 +190,7 @@ def _ellipse(side: int, share_of_side: float) -> NDArray[np.uint8]:
     return np.asarray(cv2.circle(mask, middle, radius, 255, -1), np.uint8)
 
 
-# @@ appearance
+# --- likeness, and search of a whole picture ---
 
 PATCH_PX = 24  # longer side of the small pictures: a defocused thing still looks like itself
 SEARCH_PX = 14  # the same where a whole picture is searched: a third of the time
@@ -278,8 +276,10 @@ def _about(box: Box, width: float, height: float) -> Box:
 
 
 def search(appearance: Appearance, image: Image, last: Box, scales: tuple[float, ...] = NEAR_SCALES) -> list[Place]:
-    """Places of the whole picture that are most like what is remembered, best first, no two of them the same;
-    `scales` times as large as `last`. None where the picture is smaller than the thing."""
+    """Places of the whole picture that are most like what is remembered, best first, no two of them the same.
+
+    They are `scales` times as large as `last`. There is none where the picture is smaller than the thing.
+    """
     shorter = SEARCH_WIDTH_PX / image.shape[1] * last.width * RIM / _shape(appearance)[0]
     return _places(appearance, image, _found(appearance, image, last, scales, min(SEARCH_PX / PATCH_PX, shorter)))
 
@@ -335,8 +335,11 @@ def _places(appearance: Appearance, image: Image, found: list[tuple[float, Box]]
 
 
 def coloured(appearance: Appearance, image: Image, like: Box) -> list[Box]:
-    """Boxes of the size of `like` that stand out from what is around them by the thing's colours, whatever their
-    outline: half as much as it did itself. None where its colours do not tell it from its surroundings."""
+    """Boxes of the size of `like` that stand out from what is around them by the thing's colours, of any outline.
+
+    They do so at least half as much as the thing did itself. There is none where its colours do not tell it from its
+    surroundings.
+    """
     if appearance.colours.contrast < TELLING:
         return []
     shrink = min(1.0, 8.0 / min(like.width, like.height))

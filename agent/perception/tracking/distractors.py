@@ -1,8 +1,8 @@
-"""Things that are like the one that is followed, and are not it: each goes on from where one was in the frame before.
+"""Distractors: things that look like the one that is followed, and are not it.
 
 While a thing is followed, what looks like it near by is not it, and when it is lost, neither is whatever else in that
-frame looks like it: it was too far away. These others are followed, roughly, from frame to frame, each to one place at
-most; what comes up where none of them can be may be the thing itself.
+frame looks like it: it was too far away. These look-alikes are followed, roughly, from frame to frame, each from where
+it was in the frame before to one place at most; what comes up where none of them can be may be the thing itself.
 """
 
 from __future__ import annotations
@@ -15,8 +15,7 @@ from typing import NamedTuple
 
 from agent.perception.tracking.appearance import Box, common_px, same
 
-# @@ motion
-# Where a followed thing can be in the next frame, and how far it can have gone while nobody saw it.
+# --- where a thing can be in the next frame, and how far it can have gone unseen ---
 
 FRESH = 0.3  # weight of the newest step in the speed
 MAX_STEP = 0.5  # of the sides: its middle stays in the box in which it was expected; turning goldfish have 0.25
@@ -68,7 +67,7 @@ class Motion(NamedTuple):
         return 1.0 / MAX_GROWTH <= growth <= MAX_GROWTH and stays
 
 
-# @@ look_alikes
+# --- look-alikes ---
 
 STEP = 0.5  # of the diagonal: how far one is from where it is expected
 SPREAD = 0.1  # of the diagonal, for each frame in which it did not show
@@ -117,8 +116,11 @@ def matched(others: Sequence[LookAlike], places: Sequence[Seen]) -> dict[int, in
 
 
 def unexplained(others: Sequence[LookAlike], places: Sequence[Seen]) -> list[Box]:
-    """Those of the places in which none of them can be: each is in the one that is nearest to where it is expected, and
-    one that is in none of them can be in every one that it reaches."""
+    """Those of the places in which no look-alike can be.
+
+    Each look-alike is in the place that is nearest to where it is expected; one that is in none can be in every place
+    that it reaches.
+    """
     found = matched(others, places)
     hidden = [other for k, other in enumerate(others) if k not in found]
     taken = {*found.values()}
@@ -141,8 +143,10 @@ def followed(others: Sequence[LookAlike], places: Sequence[Seen]) -> list[LookAl
 
 
 def merged(others: Sequence[LookAlike], box: Box, least: float) -> LookAlike | None:
-    """The one of them that went out of sight where this box is: in the picture they are one. Only one that was at
-    `least` so like the thing can be mistaken for it."""
+    """The look-alike that went out of sight where this box is: in the picture they are one.
+
+    Only one whose likeness to the thing was at least `least` can be mistaken for it.
+    """
     gone = (other for other in others if other.motion.unseen and other.seen >= CERTAIN and other.like >= least)
     return next((other for other in gone if same(other.motion.box, box)), None)
 
@@ -152,8 +156,7 @@ def touched(others: Sequence[LookAlike], box: Box) -> bool:
     return any(common_px(other.motion.box, box) for other in others)
 
 
-# @@ meeting
-# A thing and a look-alike that have become one in the picture, and in which place each of them is afterwards.
+# --- occlusion: a thing and a look-alike that have become one in the picture ---
 #
 # A tracker may leave a meeting with either, or grow over both. What tells them apart is how each moved before: it
 # goes on as it went, the more surely the slower it was. Limits were chosen on buoys that pass their double, or turn
@@ -167,6 +170,8 @@ APART = 30  # frames for which two places have been seen: from then on the bette
 
 
 class Meeting(NamedTuple):
+    """Which place each of the two is in after they were one in the picture."""
+
     thing: Motion  # as it was before
     other: Motion
     frames: int = 1  # since then
@@ -181,8 +186,10 @@ class Meeting(NamedTuple):
         return any(self._off(motion, box) <= REACH**2 for motion in (self.thing, self.other))
 
     def parted(self, boxes: Sequence[Box]) -> tuple[Box, Box] | None:
-        """Where the thing is and where the other is, of places that are like them; None where nobody can tell yet: one
-        of the two may be behind the other."""
+        """Where the thing is and where the other is, of places that are like them.
+
+        None where that cannot be told yet: one of the two may be behind the other.
+        """
         readings = sorted(
             (self._off(self.thing, mine) + self._off(self.other, its), mine, its)
             for mine, its in itertools.permutations(boxes, 2)
@@ -202,11 +209,10 @@ class Meeting(NamedTuple):
         return (math.dist(motion.box.moved(*way).centre_px, box.centre_px) / sigma_px) ** 2
 
 
-# @@ surveys
-# How like the thing other things get here: what a place has to surpass to be taken for it when it was lost.
+# --- clutter: what a place has to surpass to be taken for a thing that was lost ---
 #
 # A likeness of 0.7 is proof of a buoy in open water, and none of a fish in a tank where others and the gravel reach
-# it time and again. So the limit is the scene's own, as in a radar that keeps its rate of false alarms constant:
+# it time and again. So the limit is the scene's own, as in a radar that keeps its rate of false alarms constant (CFAR):
 # places that were like the thing and were not it, because it was seen elsewhere or could not have got there, are
 # samples of what chance offers. One of them that is still at its place does not count, however like the thing: it is
 # known what that is.
@@ -217,7 +223,7 @@ FADED = 0.1  # by so much less like the thing one that is still there may be
 
 
 class Surveys:
-    """What was like the thing and was not it, in the newest of the frames in which the whole picture was searched."""
+    """Clutter: what was like the thing and was not it, in the newest frames in which the whole picture was searched."""
 
     def __init__(self) -> None:
         self._kept: deque[tuple[int, list[Seen]]] = deque(maxlen=CLUTTER_KEPT)

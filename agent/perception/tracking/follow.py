@@ -1,4 +1,4 @@
-"""Follow a thing that somebody has drawn a box around, say when it is lost, and find it again.
+"""Follow a thing from a box that is drawn around it, say when it is lost, and find it again.
 
 The tracker's own score says nothing: it is as high on the thing, beside it and without it. Four things have to hold
 instead. The box moves on as it moved before, and keeps its size. Most of it lies in the picture. It shows the colours
@@ -6,6 +6,8 @@ that the thing had in its first picture. It looks like that picture, or like the
 lost, and the whole picture is searched. What is like it there is taken for it only where it can have got to by now and
 where no look-alike can be; where one can, or two places are equally like it, that is ambiguous. So it is from where a
 look-alike that was seen beside it and the box come to be one, until both are seen and each goes on as it went.
+
+The tracker is NanoTrack where its files are given, else a correlation filter.
 """
 
 from __future__ import annotations
@@ -63,8 +65,311 @@ from agent.perception.tracking.distractors import (
     unexplained,
 )
 
-# @@ correlation
-# A correlation filter that follows a box: needs no file, learns what it follows, and keeps its colours.
+# --- the follower ---
+
+# Chosen on clips made of goldfish_turns and of seven buoys (tests/perception/tracking/loss_clips.py, tuned).
+HOLD_SHAPE, SURE_SHAPE = 0.40, 0.60  # a turning fish has 0.9 and more from frame to frame, after half a second 0.4
+HOLD_COLOUR = 0.45  # marked boxes: goldfish 0.70 to 1, buoys 0.73 to 1, a neon tetra that turns 0.48; red as yellow: 0
+SURE_COLOUR = 0.75  # of what it was lately: a fish turns slowly, what hides it comes at once
+LATELY = 0.1  # weight of the newest picture in that: a third of a second
+FOUND_LIKE = 0.70  # of a place that is taken for it; with 0.60 a tetra and a buoy that were away were found elsewhere
+# The same where others of its kind are about: of the fish that is away other fish reach 0.8, buoys come back with 0.9.
+# Where nothing is somewhat like it, one that has turned meanwhile is still found.
+AGAIN_LIKE = 0.84
+RIVAL_LIKE = 0.40  # from here on a place is taken for a look-alike
+CLEAR = 0.9  # of the most: a tenth may be hidden
+PATIENCE = 12  # frames in a row that need not be sure: less than half a second
+LEAST_SHARE = 0.4  # of the box that has to be in the picture: what is left does not tell what it is
+MIN_SIDE_PX = 8  # of a box that can be followed
+
+State = Literal["followed", "found again", "ambiguous", "lost"]
+FOLLOWED: tuple[State, State] = ("followed", "found again")
+
+
+class Followed(NamedTuple):
+    box: Box  # while it is lost or ambiguous: where it was last seen
+    score: float  # 0 to 1, the weaker witness; 0 while it is lost or ambiguous
+    state: State
+
+    @property
+    def lost(self) -> bool:
+        """Whether nothing can be measured."""
+        return self.state not in FOLLOWED
+
+
+class Follower:
+    """Give it every frame of one size; it begins to follow at start(), or to look around at expect()."""
+
+    def __init__(self, tracker: BoxTracker) -> None:
+        self._tracker = tracker
+        self._appearance: Appearance | None = None
+        self._motion = Motion(Box(0, 0, 0, 0))
+        self._whole = Box(0, 0, 0, 0)  # the newest that no border cut
+        self._lost, self._seen = True, False
+        self._unsure = 0  # frames since it was certain
+        self._colour = 1.0  # likeness in colour lately
+        self._pictures: deque[tuple[float, Image]] = deque(maxlen=PATIENCE)  # the newest, with their likeness in colour
+        self._beside: list[LookAlike] = []  # seen near by while it is followed
+        self._meeting: Meeting | None = None  # with one of these
+        self._others: list[LookAlike] | None = None  # None: there was no look since it was lost
+        self._frame = 0  # frames since it was started
+        self._surveys = Surveys()
+
+    def expect(self, picture: Image, box: Box) -> None:
+        """Look for what is in this box of another picture: it may be anywhere, and nearer or farther.
+
+        Raises ConfigError as start() does.
+        """
+        check_box(box, (picture.shape[1], picture.shape[0]))
+        self._appearance, self._motion, self._whole = remember(picture, box), Motion(box), box
+        self._lost, self._seen, self._others, self._colour = True, False, None, 1.0
+        self._surveys.clear()
+
+    def start(self, image: Image, box: Box) -> None:
+        """Follow what is in this box from now on. Raises ConfigError for one that is not in the picture."""
+        check_box(box, (image.shape[1], image.shape[0]))
+        self._tracker.start(image, box)
+        self._appearance, self._motion, self._whole = remember(image, box), Motion(box), box
+        self._lost, self._seen, self._unsure, self._colour = False, True, 0, 1.0
+        self._beside, self._meeting, self._others = [], None, None
+        self._surveys.clear()
+        self._survey(image, self._appearance, box)
+
+    def look(self, image: Image) -> Followed:
+        """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
+        if self._appearance is None:
+            raise RuntimeError("call start() or expect() before look()")
+        self._frame += 1
+        return self._search(image, self._appearance) if self._lost else self._follow(image, self._appearance)
+
+    def _survey(self, image: Image, appearance: Appearance, box: Box) -> None:
+        """What else is like it, in a frame in which it is surely in this box."""
+        places = self._lately(search(appearance, image, box, NEAR_SCALES))
+        others = [place for place in places if place.like.least >= RIVAL_LIKE and not same(place.box, box)]
+        self._surveys.add(self._frame, [Seen(place.box, place.like.least) for place in others])
+
+    def _follow(self, image: Image, appearance: Appearance) -> Followed:
+        box = self._tracker.follow(image)
+        size = image.shape[1], image.shape[0]
+        whole = uncut(box, self._whole, size)
+        inside = whole.inside(size)
+        share = inside.area_px / whole.area_px
+        like = Likeness(-1.0, 0.0)
+        if usable(inside) and self._motion.allows(whole) and share >= LEAST_SHARE:
+            like = likeness(appearance, image, whole)
+        sure = like.shape >= SURE_SHAPE and like.colour >= SURE_COLOUR * self._colour
+        self._unsure = 0 if sure else self._unsure + 1
+        if like.shape < HOLD_SHAPE or like.colour < HOLD_COLOUR or self._unsure > PATIENCE:
+            self._lost, self._others = True, self._beside or None
+            if self._pictures:
+                appearance = self._appearance = appearance._replace(newest=_clearest(self._pictures))
+            return self._search(image, appearance)  # it may have jumped
+        near = [Seen(place.box, place.like.least) for place in beside(appearance, image, whole, like)]
+        others = [one for one in followed(self._beside, near) if one.seen > 1 or not touched([one], whole)]
+        if other := merged(others, whole, like.least - NEARLY):  # from here on the tracker may be on either
+            self._lost, self._others, self._meeting = True, others, Meeting(self._motion, other.motion)
+            return self._search(image, appearance)
+        self._beside = others
+        self._motion = self._motion.seen(whole)
+        if sure:
+            self._colour += LATELY * (like.colour - self._colour)
+        if share > 0.999 and sure and not touched(others, whole.grown(RIM)):
+            self._whole = whole
+            self._appearance = renewed(appearance, image, box)
+            self._pictures.append((like.colour, self._appearance.newest))
+            self._tracker.learn(image, box)
+        if sure and self._surveys.due(self._frame):
+            self._survey(image, appearance, whole)
+        return Followed(box, max(like.least, 0.0), "followed")
+
+    def _search(self, image: Image, appearance: Appearance) -> Followed:
+        places = self._lately(search(appearance, image, self._whole, NEAR_SCALES if self._seen else ANY_SCALE))
+        if not self._seen:
+            return self._choose(image, appearance, [place for place in places if place.like.least >= FOUND_LIKE], [])
+        if self._meeting is not None:
+            least = max(FOUND_LIKE, places[0].like.least - BETTER) if places else 0.0
+            both = [place for place in places if place.like.least >= least and self._meeting.reaches(place.box)]
+            if both:
+                return self._part(image, appearance, self._meeting, both)
+            self._meeting = None  # neither is seen: whatever comes up is searched for
+        rivals = [Seen(place.box, place.like.least) for place in places if place.like.least >= RIVAL_LIKE]
+        tinted = [box for box in coloured(appearance, image, self._whole) if not any(same(box, r.box) for r in rivals)]
+        rivals += [Seen(box, RIVAL_LIKE) for box in tinted]
+        free = unexplained(self._others or (), rivals)
+        near = [place for place in places if self._motion.reaches(place.box)]
+        elsewhere = [place for place in rivals if place.box not in free or not self._motion.reaches(place.box)]
+        least = max(self._enough, self._surveys.surpass(self._frame, elsewhere) + NEARLY)
+        mine = [place for place in near if place.like.least >= least and place.box in free]
+        result = self._choose(image, appearance, mine, [place for place in near if place.box not in free])
+        if result.lost:
+            self._others = followed(self._others or (), elsewhere)
+            self._motion = self._motion.missed()
+            if self._surveys.due(self._frame):
+                self._surveys.add(self._frame, elsewhere)
+        return result
+
+    @property
+    def _enough(self) -> float:
+        """How like it a place has to be at least that is taken for it."""
+        return FOUND_LIKE if self._surveys.empty else AGAIN_LIKE
+
+    def _lately(self, places: Iterable[Place]) -> list[Place]:
+        """The same, best first, by how much of the colours each shows that the thing showed lately, not at first.
+
+        But what would not be held is not found, or each finding would lower the measure for the next.
+        """
+        usual = max(self._colour, HOLD_COLOUR / self._enough)
+        fair = [
+            place._replace(like=place.like._replace(colour=min(place.like.colour / usual, 1.0))) for place in places
+        ]
+        return sorted(fair, key=lambda place: -place.like.least)
+
+    def _choose(self, image: Image, appearance: Appearance, mine: list[Place], others: list[Place]) -> Followed:
+        """The one place that it can be; ambiguous where there are two, or one that a look-alike can be at."""
+        if not mine or (len(mine) > 1 and mine[1].like.least > mine[0].like.least - NEARLY):
+            unclear = bool(mine) or any(place.like.least >= FOUND_LIKE for place in others)
+            return Followed(self._motion.box, 0.0, "ambiguous" if unclear else "lost")
+        return self._take(image, appearance, mine[0], self._others or ())
+
+    def _part(self, image: Image, appearance: Appearance, meeting: Meeting, both: list[Place]) -> Followed:
+        """It and a look-alike have met, and are at these places, or one of them behind the other."""
+        boxes = {place.box: place for place in both}
+        self._meeting = meeting.next(apart=len(boxes) > 1)
+        parted = meeting.parted([*boxes])
+        if parted is None:
+            self._motion = self._motion.missed()
+            return Followed(self._motion.box, 0.0, "ambiguous")
+        mine, its = parted
+        found = self._take(image, appearance, boxes[mine], [beginning(Seen(its, boxes[its].like.least), CERTAIN)])
+        self._motion = self._motion._replace(step_px=meeting.thing.step_px)  # they may still be close
+        return found
+
+    def _take(self, image: Image, appearance: Appearance, place: Place, others: Collection[LookAlike]) -> Followed:
+        """It is here."""
+        box, like = fitted(appearance, image, place)
+        self._tracker.start(image, box)
+        again: State = "found again" if self._seen else "followed"
+        self._motion, self._whole, self._lost, self._seen = Motion(box), box, False, True
+        self._unsure, self._colour, self._meeting = 0, like.colour, None
+        self._pictures.clear()
+        self._beside = [other for other in others if not same(other.motion.box, box)]
+        return Followed(box, like.least, again)
+
+
+def _clearest(pictures: Collection[tuple[float, Image]]) -> Image:
+    """The newest that shows nearly as much of the thing's colours as any: later ones may show what hides it."""
+    most = max(colour for colour, _ in pictures)
+    return [picture for colour, picture in pictures if colour >= CLEAR * most][-1]
+
+
+def usable(box: Box) -> bool:
+    return min(box.width, box.height) >= MIN_SIDE_PX
+
+
+def parse_box(text: str) -> Box:
+    """X,Y,W,H in pixels. Raises ConfigError."""
+    try:
+        box = Box(*(float(side) for side in text.split(",")))
+    except (TypeError, ValueError):
+        raise ConfigError(f"--box {text}: write four numbers X,Y,W,H, pixels from the upper left corner") from None
+    if not all(math.isfinite(side) for side in box):
+        raise ConfigError(f"--box {text}: not finite; write four numbers X,Y,W,H")
+    return box
+
+
+def check_box(box: Box, size: tuple[int, int]) -> None:
+    """Raises ConfigError for a box too small to follow or not inside a picture of size (width, height)."""
+    inside = box.x >= 0 and box.y >= 0 and box.x + box.width <= size[0] and box.y + box.height <= size[1]
+    if not inside or not usable(box):
+        raise ConfigError(
+            f"box {','.join(f'{side:g}' for side in box)}: draw it inside the {size[0]}x{size[1]} picture, "
+            f"at least {MIN_SIDE_PX} pixels wide and high"
+        )
+
+
+# --- trackers of a box from frame to frame ---
+#
+# NanoTrack is a small siamese network that OpenCV runs (cv2.TrackerNano). It is version 2, as published in
+# HonglinChu/SiamTrackers (NanoTrack/models/nanotrackv2, Apache-2.0); version 3 has another head, on which OpenCV 5.0
+# fails in its first update.
+
+# SHA-256 of the published files; the follower's thresholds were measured with them.
+BACKBONE = ("nanotrack_backbone_sim.onnx", "530bdd0cd00f19afab79a863e71ba71e3312395a5dc9151af675082bdaaa2fc4")
+NECK = ("nanotrack_head_sim.onnx", "0d8c0637be849f092cc7236cae02e55c8b9455ebe37ba50601d6115db4247cd9")
+
+
+class BoxTracker(Protocol):
+    """Follows whatever it was started on, and never says that it is gone."""
+
+    def start(self, image: Image, box: Box) -> None: ...
+
+    def follow(self, image: Image) -> Box:
+        """Where it is now, or whatever is taken for it. Call start() first."""
+
+    def learn(self, image: Image, box: Box) -> None:
+        """This is the thing, beyond doubt."""
+
+
+class Nano:
+    """NanoTrack V2, of `load_nano`."""
+
+    def __init__(self, tracker: cv2.TrackerNano) -> None:
+        self._tracker = tracker
+
+    def start(self, image: Image, box: Box) -> None:
+        self._tracker.init(image, whole_pixels(image, box))
+
+    def follow(self, image: Image) -> Box:
+        _, box = self._tracker.update(image)  # its flag is always true, and its score is high without a target too
+        return Box(*(float(side) for side in box))
+
+    def learn(self, image: Image, box: Box) -> None:
+        """It keeps to the picture with which it was started."""
+
+
+def whole_pixels(image: Image, box: Box) -> tuple[int, int, int, int]:
+    """What of a box lies in the picture, at least two pixels each way."""
+    height, width = image.shape[:2]
+    left, top = min(max(round(box.x), 0), width - 2), min(max(round(box.y), 0), height - 2)
+    right, bottom = min(round(box.x + box.width), width), min(round(box.y + box.height), height)
+    return left, top, max(right - left, 2), max(bottom - top, 2)
+
+
+def model_files(folder: Path) -> tuple[Path, Path]:
+    """Backbone and neck by the names under which they are published."""
+    return folder / BACKBONE[0], folder / NECK[0]
+
+
+def load_box_tracker(backbone: Path | None, neckhead: Path | None) -> BoxTracker:
+    """NanoTrack from two files, a correlation filter from none.
+
+    Raises ConfigError for one of two, and as load_nano does.
+    """
+    if backbone is None and neckhead is None:
+        return CorrelationTracker()
+    if backbone is None or neckhead is None:
+        raise ConfigError("NanoTrack consists of two files; give both --backbone and --neck, or neither")
+    return load_nano(backbone, neckhead)
+
+
+def load_nano(backbone: Path, neckhead: Path) -> Nano:
+    """Raises ConfigError for files that are not the published ones of NanoTrack V2."""
+    for path, (name, digest) in ((backbone, BACKBONE), (neckhead, NECK)):
+        if not path.is_file():
+            raise ConfigError(f"{path}: no such file; give the two ONNX files of NanoTrack V2 as backbone and neck")
+        if hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+            raise ConfigError(f"{path}: is not {name} of NanoTrack V2 (its SHA-256 differs); take it from its authors")
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it warns of targets that are not asked for
+    try:
+        parameters = cv2.TrackerNano.Params()
+        parameters.backbone, parameters.neckhead = str(backbone), str(neckhead)
+        return Nano(cv2.TrackerNano.create(parameters))
+    finally:
+        cv2.utils.logging.setLogLevel(level)
+
+
+# --- correlation filter: needs no file, learns what it follows, and keeps its colours ---
 #
 # What makes the box's middle ring and everything around it silent, in the least squares sense, is a filter whose
 # spectrum is a quotient of sums over the pictures learnt so far (MOSSE, Bolme 2010; several channels over one
@@ -193,304 +498,3 @@ def _finer(answer: NDArray[np.float32], row: int, column: int) -> tuple[float, f
     down = between(answer[max(row - 1, 0), column], answer[row, column], answer[min(row + 1, last), column])
     across = between(answer[row, max(column - 1, 0)], answer[row, column], answer[row, min(column + 1, last)])
     return float(row + down), float(column + across)
-
-
-# @@ box_trackers
-# What follows a box from frame to frame: NanoTrack where its two ONNX files are given, else a correlation filter.
-#
-# NanoTrack is a small siamese network that OpenCV runs (cv2.TrackerNano). Version 2 of it, as published in
-# HonglinChu/SiamTrackers (NanoTrack/models/nanotrackv2, Apache-2.0); version 3 has another head, on which OpenCV 5.0
-# fails in its first update. The filter of correlation.py needs no file.
-
-# SHA-256 of the published files; thresholds of follow.py were measured with them.
-BACKBONE = ("nanotrack_backbone_sim.onnx", "530bdd0cd00f19afab79a863e71ba71e3312395a5dc9151af675082bdaaa2fc4")
-NECK = ("nanotrack_head_sim.onnx", "0d8c0637be849f092cc7236cae02e55c8b9455ebe37ba50601d6115db4247cd9")
-
-
-class BoxTracker(Protocol):
-    """Follows whatever it was started on, and never says that it is gone."""
-
-    def start(self, image: Image, box: Box) -> None: ...
-
-    def follow(self, image: Image) -> Box:
-        """Where it is now, or whatever is taken for it. Call start() first."""
-
-    def learn(self, image: Image, box: Box) -> None:
-        """This is the thing, beyond doubt."""
-
-
-class Nano:
-    """See load_nano."""
-
-    def __init__(self, tracker: cv2.TrackerNano) -> None:
-        self._tracker = tracker
-
-    def start(self, image: Image, box: Box) -> None:
-        self._tracker.init(image, whole_pixels(image, box))
-
-    def follow(self, image: Image) -> Box:
-        _, box = self._tracker.update(image)  # its flag is always true, and its score is high without a target too
-        return Box(*(float(side) for side in box))
-
-    def learn(self, image: Image, box: Box) -> None:
-        """It keeps to the picture with which it was started."""
-
-
-def whole_pixels(image: Image, box: Box) -> tuple[int, int, int, int]:
-    """What of a box lies in the picture, at least two pixels each way."""
-    height, width = image.shape[:2]
-    left, top = min(max(round(box.x), 0), width - 2), min(max(round(box.y), 0), height - 2)
-    right, bottom = min(round(box.x + box.width), width), min(round(box.y + box.height), height)
-    return left, top, max(right - left, 2), max(bottom - top, 2)
-
-
-def model_files(folder: Path) -> tuple[Path, Path]:
-    """Backbone and neck by the names under which they are published."""
-    return folder / BACKBONE[0], folder / NECK[0]
-
-
-def load_box_tracker(backbone: Path | None, neckhead: Path | None) -> BoxTracker:
-    """NanoTrack from two files, a correlation filter from none.
-
-    Raises ConfigError for one of two, and as load_nano does.
-    """
-    if backbone is None and neckhead is None:
-        return CorrelationTracker()
-    if backbone is None or neckhead is None:
-        raise ConfigError("NanoTrack consists of two files; give both --backbone and --neck, or neither")
-    return load_nano(backbone, neckhead)
-
-
-def load_nano(backbone: Path, neckhead: Path) -> Nano:
-    """Raises ConfigError for files that are not the published ones of NanoTrack V2."""
-    for path, (name, digest) in ((backbone, BACKBONE), (neckhead, NECK)):
-        if not path.is_file():
-            raise ConfigError(f"{path}: no such file; give the two ONNX files of NanoTrack V2 as backbone and neck")
-        if hashlib.sha256(path.read_bytes()).hexdigest() != digest:
-            raise ConfigError(f"{path}: is not {name} of NanoTrack V2 (its SHA-256 differs); take it from its authors")
-    level = cv2.utils.logging.getLogLevel()
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it warns of targets that nobody asked for
-    try:
-        parameters = cv2.TrackerNano.Params()
-        parameters.backbone, parameters.neckhead = str(backbone), str(neckhead)
-        return Nano(cv2.TrackerNano.create(parameters))
-    finally:
-        cv2.utils.logging.setLogLevel(level)
-
-
-# @@ follow
-
-# Chosen on clips made of goldfish_turns and of seven buoys (tests/perception/tracking/loss_clips.py, tuned).
-HOLD_SHAPE, SURE_SHAPE = 0.40, 0.60  # a turning fish has 0.9 and more from frame to frame, after half a second 0.4
-HOLD_COLOUR = 0.45  # marked boxes: goldfish 0.70 to 1, buoys 0.73 to 1, a neon tetra that turns 0.48; red as yellow: 0
-SURE_COLOUR = 0.75  # of what it was lately: a fish turns slowly, what hides it comes at once
-LATELY = 0.1  # weight of the newest picture in that: a third of a second
-FOUND_LIKE = 0.70  # of a place that is taken for it; with 0.60 a tetra and a buoy that were away were found elsewhere
-# The same where others of its kind are about: of the fish that is away other fish reach 0.8, buoys come back with 0.9.
-# Where nothing is somewhat like it, one that has turned meanwhile is still found.
-AGAIN_LIKE = 0.84
-RIVAL_LIKE = 0.40  # from here on a place is taken for a look-alike
-CLEAR = 0.9  # of the most: a tenth may be hidden
-PATIENCE = 12  # frames in a row that need not be sure: less than half a second
-LEAST_SHARE = 0.4  # of the box that has to be in the picture: of what is left nobody can tell what it is
-MIN_SIDE_PX = 8  # of a box that can be followed
-
-State = Literal["followed", "found again", "ambiguous", "lost"]
-FOLLOWED: tuple[State, State] = ("followed", "found again")
-
-
-class Followed(NamedTuple):
-    box: Box  # while it is lost or ambiguous: where it was last seen
-    score: float  # 0 to 1, the weaker witness; 0 while it is lost or ambiguous
-    state: State
-
-    @property
-    def lost(self) -> bool:
-        """Whether nothing can be measured."""
-        return self.state not in FOLLOWED
-
-
-class Follower:
-    """Give it every frame of one size; it begins to follow at start(), or to look around at expect()."""
-
-    def __init__(self, tracker: BoxTracker) -> None:
-        self._tracker = tracker
-        self._appearance: Appearance | None = None
-        self._motion = Motion(Box(0, 0, 0, 0))
-        self._whole = Box(0, 0, 0, 0)  # the newest that no border cut
-        self._lost, self._seen = True, False
-        self._unsure = 0  # frames since it was certain
-        self._colour = 1.0  # likeness in colour lately
-        self._pictures: deque[tuple[float, Image]] = deque(maxlen=PATIENCE)  # the newest, with their likeness in colour
-        self._beside: list[LookAlike] = []  # seen near by while it is followed
-        self._meeting: Meeting | None = None  # with one of these
-        self._others: list[LookAlike] | None = None  # None: nobody has looked since it was lost
-        self._frame = 0  # frames since it was started
-        self._surveys = Surveys()
-
-    def expect(self, picture: Image, box: Box) -> None:
-        """Look for what is in this box of another picture: it may be anywhere, and nearer or farther. Raises
-        ConfigError as start() does."""
-        check_box(box, (picture.shape[1], picture.shape[0]))
-        self._appearance, self._motion, self._whole = remember(picture, box), Motion(box), box
-        self._lost, self._seen, self._others, self._colour = True, False, None, 1.0
-        self._surveys.clear()
-
-    def start(self, image: Image, box: Box) -> None:
-        """Follow what is in this box from now on. Raises ConfigError for one that is not in the picture."""
-        check_box(box, (image.shape[1], image.shape[0]))
-        self._tracker.start(image, box)
-        self._appearance, self._motion, self._whole = remember(image, box), Motion(box), box
-        self._lost, self._seen, self._unsure, self._colour = False, True, 0, 1.0
-        self._beside, self._meeting, self._others = [], None, None
-        self._surveys.clear()
-        self._survey(image, self._appearance, box)
-
-    def look(self, image: Image) -> Followed:
-        """Where it is in the next picture. Raises RuntimeError before start() or expect()."""
-        if self._appearance is None:
-            raise RuntimeError("call start() or expect() before look()")
-        self._frame += 1
-        return self._search(image, self._appearance) if self._lost else self._follow(image, self._appearance)
-
-    def _survey(self, image: Image, appearance: Appearance, box: Box) -> None:
-        """What else is like it, in a frame in which it is surely in this box."""
-        places = self._lately(search(appearance, image, box, NEAR_SCALES))
-        others = [place for place in places if place.like.least >= RIVAL_LIKE and not same(place.box, box)]
-        self._surveys.add(self._frame, [Seen(place.box, place.like.least) for place in others])
-
-    def _follow(self, image: Image, appearance: Appearance) -> Followed:
-        box = self._tracker.follow(image)
-        size = image.shape[1], image.shape[0]
-        whole = uncut(box, self._whole, size)
-        inside = whole.inside(size)
-        share = inside.area_px / whole.area_px
-        like = Likeness(-1.0, 0.0)
-        if usable(inside) and self._motion.allows(whole) and share >= LEAST_SHARE:
-            like = likeness(appearance, image, whole)
-        sure = like.shape >= SURE_SHAPE and like.colour >= SURE_COLOUR * self._colour
-        self._unsure = 0 if sure else self._unsure + 1
-        if like.shape < HOLD_SHAPE or like.colour < HOLD_COLOUR or self._unsure > PATIENCE:
-            self._lost, self._others = True, self._beside or None
-            if self._pictures:
-                appearance = self._appearance = appearance._replace(newest=_clearest(self._pictures))
-            return self._search(image, appearance)  # it may have jumped
-        near = [Seen(place.box, place.like.least) for place in beside(appearance, image, whole, like)]
-        others = [one for one in followed(self._beside, near) if one.seen > 1 or not touched([one], whole)]
-        if other := merged(others, whole, like.least - NEARLY):  # from here on the tracker may be on either
-            self._lost, self._others, self._meeting = True, others, Meeting(self._motion, other.motion)
-            return self._search(image, appearance)
-        self._beside = others
-        self._motion = self._motion.seen(whole)
-        if sure:
-            self._colour += LATELY * (like.colour - self._colour)
-        if share > 0.999 and sure and not touched(others, whole.grown(RIM)):
-            self._whole = whole
-            self._appearance = renewed(appearance, image, box)
-            self._pictures.append((like.colour, self._appearance.newest))
-            self._tracker.learn(image, box)
-        if sure and self._surveys.due(self._frame):
-            self._survey(image, appearance, whole)
-        return Followed(box, max(like.least, 0.0), "followed")
-
-    def _search(self, image: Image, appearance: Appearance) -> Followed:
-        places = self._lately(search(appearance, image, self._whole, NEAR_SCALES if self._seen else ANY_SCALE))
-        if not self._seen:
-            return self._choose(image, appearance, [place for place in places if place.like.least >= FOUND_LIKE], [])
-        if self._meeting is not None:
-            least = max(FOUND_LIKE, places[0].like.least - BETTER) if places else 0.0
-            both = [place for place in places if place.like.least >= least and self._meeting.reaches(place.box)]
-            if both:
-                return self._part(image, appearance, self._meeting, both)
-            self._meeting = None  # neither is seen: whatever comes up is searched for
-        rivals = [Seen(place.box, place.like.least) for place in places if place.like.least >= RIVAL_LIKE]
-        tinted = [box for box in coloured(appearance, image, self._whole) if not any(same(box, r.box) for r in rivals)]
-        rivals += [Seen(box, RIVAL_LIKE) for box in tinted]
-        free = unexplained(self._others or (), rivals)
-        near = [place for place in places if self._motion.reaches(place.box)]
-        elsewhere = [place for place in rivals if place.box not in free or not self._motion.reaches(place.box)]
-        least = max(self._enough, self._surveys.surpass(self._frame, elsewhere) + NEARLY)
-        mine = [place for place in near if place.like.least >= least and place.box in free]
-        result = self._choose(image, appearance, mine, [place for place in near if place.box not in free])
-        if result.lost:
-            self._others = followed(self._others or (), elsewhere)
-            self._motion = self._motion.missed()
-            if self._surveys.due(self._frame):
-                self._surveys.add(self._frame, elsewhere)
-        return result
-
-    @property
-    def _enough(self) -> float:
-        """How like it a place has to be at least that is taken for it."""
-        return FOUND_LIKE if self._surveys.empty else AGAIN_LIKE
-
-    def _lately(self, places: Iterable[Place]) -> list[Place]:
-        """The same, best first, by how much of the colours each shows that the thing showed lately, not at first; but
-        what would not be held is not found, or each finding would lower the measure for the next."""
-        usual = max(self._colour, HOLD_COLOUR / self._enough)
-        fair = [
-            place._replace(like=place.like._replace(colour=min(place.like.colour / usual, 1.0))) for place in places
-        ]
-        return sorted(fair, key=lambda place: -place.like.least)
-
-    def _choose(self, image: Image, appearance: Appearance, mine: list[Place], others: list[Place]) -> Followed:
-        """The one place that it can be; ambiguous where there are two, or one that a look-alike can be at."""
-        if not mine or (len(mine) > 1 and mine[1].like.least > mine[0].like.least - NEARLY):
-            unclear = bool(mine) or any(place.like.least >= FOUND_LIKE for place in others)
-            return Followed(self._motion.box, 0.0, "ambiguous" if unclear else "lost")
-        return self._take(image, appearance, mine[0], self._others or ())
-
-    def _part(self, image: Image, appearance: Appearance, meeting: Meeting, both: list[Place]) -> Followed:
-        """It and a look-alike have met, and are at these places, or one of them behind the other."""
-        boxes = {place.box: place for place in both}
-        self._meeting = meeting.next(apart=len(boxes) > 1)
-        parted = meeting.parted([*boxes])
-        if parted is None:
-            self._motion = self._motion.missed()
-            return Followed(self._motion.box, 0.0, "ambiguous")
-        mine, its = parted
-        found = self._take(image, appearance, boxes[mine], [beginning(Seen(its, boxes[its].like.least), CERTAIN)])
-        self._motion = self._motion._replace(step_px=meeting.thing.step_px)  # they may still be close
-        return found
-
-    def _take(self, image: Image, appearance: Appearance, place: Place, others: Collection[LookAlike]) -> Followed:
-        """It is here."""
-        box, like = fitted(appearance, image, place)
-        self._tracker.start(image, box)
-        again: State = "found again" if self._seen else "followed"
-        self._motion, self._whole, self._lost, self._seen = Motion(box), box, False, True
-        self._unsure, self._colour, self._meeting = 0, like.colour, None
-        self._pictures.clear()
-        self._beside = [other for other in others if not same(other.motion.box, box)]
-        return Followed(box, like.least, again)
-
-
-def _clearest(pictures: Collection[tuple[float, Image]]) -> Image:
-    """The newest that shows nearly as much of the thing's colours as any: later ones may show what hides it."""
-    most = max(colour for colour, _ in pictures)
-    return [picture for colour, picture in pictures if colour >= CLEAR * most][-1]
-
-
-def usable(box: Box) -> bool:
-    return min(box.width, box.height) >= MIN_SIDE_PX
-
-
-def parse_box(text: str) -> Box:
-    """X,Y,W,H in pixels. Raises ConfigError."""
-    try:
-        box = Box(*(float(side) for side in text.split(",")))
-    except (TypeError, ValueError):
-        raise ConfigError(f"--box {text}: write four numbers X,Y,W,H, pixels from the upper left corner") from None
-    if not all(math.isfinite(side) for side in box):
-        raise ConfigError(f"--box {text}: not finite; write four numbers X,Y,W,H")
-    return box
-
-
-def check_box(box: Box, size: tuple[int, int]) -> None:
-    """Raises ConfigError for a box too small to follow or not inside a picture of size (width, height)."""
-    inside = box.x >= 0 and box.y >= 0 and box.x + box.width <= size[0] and box.y + box.height <= size[1]
-    if not inside or not usable(box):
-        raise ConfigError(
-            f"box {','.join(f'{side:g}' for side in box)}: draw it inside the {size[0]}x{size[1]} picture, "
-            f"at least {MIN_SIDE_PX} pixels wide and high"
-        )
