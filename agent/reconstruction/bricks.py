@@ -1,6 +1,7 @@
 """A signed distance to the surface on a grid that exists only where there is a surface: bricks of 8 x 8 x 8 cells.
 
-A whole basin at 5 mm is 200 million cells; those within reach of a measured depth are some per cent of them.
+A whole basin at 5 mm is 200 million cells; those within reach of a measured depth are some per cent of them. Cones and
+balls tell which part of a scene a view can have to do with at all.
 """
 
 from __future__ import annotations
@@ -115,9 +116,7 @@ def _mark(stack: Stack, origin: Floats, cell_m: float, reach_m: float, index: ND
                         index[i, j, k] = 0
 
 
-# @@ reach
-# Which part of a scene a view can have to do with at all, so that work goes with what views see, not with views times
-# scene.
+# --- what a view can reach: work goes with what views see, not with views times scene ---
 #
 # A picture lies in a round cone about its optical axis, from where its rays meet on, and what it says of the scene
 # ends behind its farthest depth. What is drawn or fused is taken in pieces, each with a ball around it; a piece whose

@@ -1,4 +1,4 @@
-"""What `--export` can be, and which files it gives."""
+"""What `aucamp reconstruct --export` can be, and which files it gives."""
 
 from __future__ import annotations
 
@@ -18,8 +18,7 @@ from replay.files.frames import schema
 from replay.files.mcap_file import Part
 from replay.viewers.foxglove import Turn, world_cloud, world_poses
 
-# @@ encoded
-# Light as bytes, as pictures and vertex colours have it.
+# --- light as bytes, for pictures and vertex colours ---
 
 GAMMA = 2.2  # near enough to sRGB that no viewer shows the difference
 
@@ -34,11 +33,11 @@ def write_picture(light: NDArray[np.float32], path: Path) -> None:
     cv2.imwrite(str(path), encoded(light)[..., ::-1])
 
 
-# @@ pinhole
-# A view as other programs model cameras: rays meet in the camera's centre, the first pixel's corner is (0, 0).
+# --- a view as other programs model cameras ---
 #
-# Our rays meet `ahead_m` before the pivot, so that is where their centre goes; our first pixel's middle is (0, 0), so
-# theirs is half a pixel on. The bend is their first radial coefficient: u = f x (1 + k1 r^2) + cx, exactly.
+# Their rays meet in the camera's centre, and the first pixel's corner is (0, 0). Our rays meet `ahead_m` before the
+# pivot, so that is where their centre goes; our first pixel's middle is (0, 0), so theirs is half a pixel on. The bend
+# is their first radial coefficient: u = f x (1 + k1 r^2) + cx, exactly.
 
 
 class Pinhole(NamedTuple):
@@ -81,8 +80,7 @@ def names(views: list[View]) -> list[str]:
     return [f"{view.robot}_{view.seq:05d}_{n:04d}" for n, view in enumerate(views)]
 
 
-# @@ colmap
-# Views and points as a sparse model of COLMAP, in its text form: images/ and sparse/0/ with three files.
+# --- COLMAP: a sparse model in its text form, images/ and sparse/0/ with three files ---
 
 MOST_POINTS = 100_000  # of the surface, which is enough for any program to start from
 
@@ -114,8 +112,7 @@ def _text(numbers: list[float]) -> str:
     return " ".join(np.format_float_positional(number, trim="0") for number in numbers)
 
 
-# @@ glb
-# A surface as GLB, which browsers and office programs show.
+# --- GLB, which browsers and office programs show ---
 
 
 def write_glb(mesh: Mesh, path: Path) -> None:
@@ -135,11 +132,10 @@ def write_glb(mesh: Mesh, path: Path) -> None:
     body.export(str(path), file_type="glb")
 
 
-# @@ mcap
-# A surface as an MCAP file of Foxglove's own messages, for Foxglove and Rerun: a cloud of points, and the cameras.
+# --- MCAP of Foxglove's own messages, for Foxglove and Rerun: a cloud of points, and the cameras ---
 
 POINTS, CAMERAS = "/scene/points", "/scene/cameras"
-T_NS = 0  # a scene stands: it is seen by what it says of no time
+T_NS = 0  # a scene stands still: it has no time
 
 
 def write_mcap(views: list[View], mesh: Mesh, path: Path) -> None:
@@ -177,8 +173,7 @@ def _turn(view: View) -> Turn:
     return x, y, z, w
 
 
-# @@ ply
-# A surface as PLY (binary, little endian), which every viewer of meshes reads; with sigma_m and views a vertex.
+# --- PLY (binary, little endian), which every viewer of meshes reads; with sigma_m and views a vertex ---
 
 FORMATS = {"f4": "float", "u1": "uchar"}
 
@@ -217,8 +212,7 @@ def write_elements(
             rest.tofile(file)
 
 
-# @@ splat
-# A surface as the PLY of 3D Gaussian splatting: a flat, opaque Gaussian at each vertex, turned as the surface is.
+# --- PLY of 3D Gaussian splatting: a flat, opaque Gaussian at each vertex, turned as the surface is ---
 
 ACROSS, THICK = 0.55, 0.1  # standard deviations along and across the surface, cells
 OPACITY = 0.97
@@ -248,8 +242,7 @@ def from_z(normals: NDArray[np.float64]) -> Floats:
     return np.asarray(turn / np.linalg.norm(turn, axis=1, keepdims=True))
 
 
-# @@ transforms
-# Views as nerfstudio's transforms.json, with pictures, depths and the surface's points beside it.
+# --- nerfstudio's transforms.json, with pictures, depths and the surface's points beside it ---
 
 DEPTH_UNIT_M = 1e-4  # of the 16-bit depth pictures, which so reach 6.5 m; 0: unknown
 TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # theirs look along -z, y up
@@ -279,7 +272,7 @@ def frame(view: View) -> dict[str, Any]:
     return {**lens, "k1": p.k1, "k2": 0.0, "p1": 0.0, "p2": 0.0, "transform_matrix": (pose @ TO_OPENGL).tolist()}
 
 
-# @@ kinds
+# --- kinds of export ---
 
 Kind = Literal["ply", "glb", "colmap", "transforms.json", "splat", "mcap"]
 

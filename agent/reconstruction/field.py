@@ -1,4 +1,8 @@
-"""A field from start to end: the surface, learning for as long as is given, and then whatever is asked of it."""
+"""The image model as a field: distances to the surface, colours and water, learnt by rendering along rays (torch).
+
+A field starts from the surface of all views' depths. It learns from the pixels of all views for as long as it is given,
+and then shows the scene from any pose: picture and depths. `learnt` does all of it.
+"""
 
 from __future__ import annotations
 
@@ -20,10 +24,9 @@ from agent.reconstruction.fusion import fuse
 from agent.reconstruction.held_back import FieldSettings
 from agent.reconstruction.views import View, pixel_grid, ray_slopes, stacked
 
-# @@ rays
-# All pixels of all views as tensors on one device, so that a step takes any of them.
+# --- all pixels of all views as tensors on one device, so that a step takes any of them ---
 
-LEAST_SIGMA_M = 2e-3  # of a depth that anchors: what says that it knows better is seldom right
+LEAST_SIGMA_M = 2e-3  # of a depth that anchors: a smaller sigma is seldom right
 
 
 class Rays(NamedTuple):
@@ -83,11 +86,10 @@ class Bundle:
         return Pixels(self._colour[pixels], self._depth_m[pixels], self._sigma_m[pixels])
 
 
-# @@ density
-# From distances to a surface to what a ray sees of it: density, weights, water. Nothing here is learnt.
+# --- from distances to a surface to what a ray sees of it: density, weights, water ---
 #
-# Density as VolSDF has it (Yariv et al. 2021, arXiv 2106.12052); water as SeaThru-NeRF has it (Levy et al. 2023,
-# arXiv 2304.07743), where all there is lies at the surface. Distances in metres, positive outside.
+# Nothing here is learnt. Density is that of VolSDF (Yariv et al. 2021, arXiv 2106.12052); water is that of SeaThru-NeRF
+# (Levy et al. 2023, arXiv 2304.07743), where all there is lies at the surface. Distances in metres, positive outside.
 
 LEAST_TOTAL = 1e-6  # of weights: a ray that meets nothing has its weights divided by this, not by nothing
 
@@ -119,8 +121,7 @@ def through_water(colour: Tensor, range_m: Tensor, direct: Tensor, scatter: Tens
     return colour * torch.exp(-direct * t) - veil * torch.expm1(-scatter * t)
 
 
-# @@ volume
-# What is learnt: distances on a grid, colours as products of planes and lines, the water, and beta.
+# --- what is learnt: distances on a grid, colours as products of planes and lines, the water, and beta ---
 #
 # Colours are three sums of rank 16 (TensoRF's vector and matrix factors, Chen et al. 2022, arXiv 2203.09517), read by
 # a small network. All of it lives on one device, whichever it is.
@@ -212,8 +213,7 @@ def _sample(values: Tensor, grid: Tensor) -> Tensor:
     return functional.grid_sample(values, grid, mode="bilinear", padding_mode="border", align_corners=True)
 
 
-# @@ march
-# Where rays meet the field's surface, and what they see about it.
+# --- where rays meet the surface, and what they see about it ---
 
 NEAREST_M = 0.03  # no surface is nearer: the port and what is before it
 STRIDE, LEAST_STRIDE_M = 0.9, 2e-3  # share of the distance that a step may go, and how far it goes at least
@@ -258,8 +258,11 @@ def look(field: Field, rays: Rays, near_m: Tensor, far_m: Tensor, offsets: Tenso
 
 
 def search(field: Field, rays: Rays, offsets: Tensor, fine: int) -> Seen:
-    """What rays see of a field of which nobody knows where its surface is: samples in equal pieces of the whole way,
-    one at each of `offsets` (n, s), tell where to take `fine` more, and these count."""
+    """What rays see of a field whose surface is not known yet.
+
+    Samples in equal pieces of the whole way, one at each of `offsets` (n, s), tell where to take `fine` more, and these
+    count.
+    """
     far_m = leaving(field, rays)
     step = ((far_m - NEAREST_M) / offsets.shape[1])[:, None]
     with torch.no_grad():
@@ -300,12 +303,12 @@ def depth(rays: Rays, range_m: Tensor) -> Tensor:
     return rays.ahead_m + range_m * rays.forward
 
 
-# @@ train
-# Fit the field to all pictures: a step takes pixels of any of them, and goes against what it sees otherwise.
+# --- fit to all pictures ---
 #
-# A picture's tone is what counts, (C + 1e-5)^(1/2.2), by Huber's loss; depths hold the surface where it was found to
-# be, weakly and robustly. With a number of `steps` the same seed gives the same field on one machine's CPU; with a
-# time it depends on how far that goes.
+# A step takes pixels of any of them, and goes against what it sees otherwise. A picture's tone is what counts,
+# (C + 1e-5)^(1/2.2), by Huber's loss; depths hold the surface where it was found to be, weakly and robustly. With a
+# number of `steps` the same seed gives the same field on one machine's CPU; with a time it depends on how far that
+# goes.
 
 GAMMA, DARKEST = 1.0 / 2.2, 1e-5
 TONE_HUBER = 0.1
@@ -314,7 +317,7 @@ LAST_RATE = 0.05  # of the rates at the end
 WARM_UP = 20  # steps
 TRAIN_SAMPLES = 8
 BAND_M, WIDE_M = 10e-3, 25e-3  # half of what is sampled about a surface: at the end, and more at the start
-SEARCH = (64, 24)  # samples of a ray that nobody knows anything of: to find where, and to see
+SEARCH = (64, 24)  # samples of a ray of which nothing is known: to find where, and to see
 ROUNDS, AGAIN_ROUNDS = 40, 10  # of tracing a pixel for the first time, and when it is known where it was
 BACK_M = 0.03  # how far before that tracing goes on
 
@@ -395,17 +398,16 @@ def _optimiser(field: Field) -> torch.optim.Adam:
     return torch.optim.Adam(groups, betas=(0.9, 0.99), eps=1e-10, fused=field.sdf_m.device.type in ("cpu", "cuda"))
 
 
-# @@ picture
-# What a camera would see of the field: picture and depths.
+# --- what a camera would see of the field: picture and depths ---
 
 AT_ONCE = 1 << 15  # rays
 SAMPLES = 16
 
-Floats = NDArray[np.float32]
+Pictures = NDArray[np.float32]
 
 
 @torch.no_grad()
-def picture(field: Field, view: View, searching: bool = False) -> tuple[Floats, Floats]:
+def picture(field: Field, view: View, searching: bool = False) -> tuple[Pictures, Pictures]:
     """Linear light (height, width, 3) and depth (height, width) from a view's pose by its camera; the rest is unused.
 
     searching: the field began with nothing, and has no distances that could be followed.
@@ -428,8 +430,7 @@ def picture(field: Field, view: View, searching: bool = False) -> tuple[Floats, 
     return torch.cat(colours).cpu().numpy().reshape(*shape, 3), torch.cat(depths).cpu().numpy().reshape(shape)
 
 
-# @@ start
-# The grid that a field starts from: the surface of all depths, or nothing at all.
+# --- the grid that a field starts from: the surface of all depths, or nothing at all ---
 
 CELL_M = 7.5e-3  # of the grid; larger where it would have more than MOST_CELLS
 MOST_CELLS = 40_000_000  # 160 MB, and three times as much for Adam
@@ -468,14 +469,14 @@ def box_of(surface: Surface) -> Box:
     return Box((x, y, z), surface.cell_m, sdf)
 
 
-# @@ model
-
-Pictures = NDArray[np.float32]
+# --- the whole of it ---
 
 PARTS = 1000  # of the progress: time is no whole number
 
 
 class Learnt(NamedTuple):
+    """As the fields of `image_model.ImageModel` of the same names."""
+
     look: Callable[[View], tuple[Pictures, Pictures]]
     water: Pictures  # (3, 3)
     steps: int
@@ -485,7 +486,10 @@ class Learnt(NamedTuple):
 
 
 def learnt(views: Sequence[View], settings: FieldSettings, progress: Progress, now_s: Callable[[], float]) -> Learnt:
-    """Raises ConfigError for a device that is not there, Failed where no view has a depth."""
+    """A field that has learnt from all views. now_s: any clock that counts seconds.
+
+    Raises ConfigError for a device that is not there, Failed where no view has a depth.
+    """
     device = device_of(settings.device)
     box, searching = box_of_views(views), settings.start == "nothing"
     field = Field(fog(box) if searching else box, settings.plane_mm * 1e-3, settings.line_mm * 1e-3, settings.seed).to(

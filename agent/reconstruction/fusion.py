@@ -8,6 +8,8 @@ For a cell at depth z in a view whose pixel there has the depth d (Curless and L
 and the distance is the mean of e by w, made robust: a view that contradicts the mean by more than its own sigma counts
 for less, w / (1 + (r / (ROBUST sigma))^2), twice over. Bricks are worked on one after the other, each with all views,
 so that nothing depends on the order of bricks.
+
+`build` makes the surface of a scene: from focus alone, then with the plane sweep where it finds anything.
 """
 
 from __future__ import annotations
@@ -160,10 +162,7 @@ def _near_views(stack: Stack, reach: Floats, x: float, y: float, z: float, radiu
     return seen
 
 
-# @@ build
-# Views -> surface: focus alone, then the plane sweep where it finds anything, fused with focus where it is silent.
-#
-# Which of a view's depths came from where stays known: `sharpened` gives views whose depths are the best there are.
+# --- views -> surface: focus alone, then the plane sweep, fused with focus where the sweep is silent ---
 
 CELL_M = 5e-3
 PRIOR_M, PRIOR_PER_M = 4e-3, 4e-3  # sigma of a surface's depth as a prior: PRIOR_M + PRIOR_PER_M z^2
@@ -192,7 +191,8 @@ def build(views: Sequence[View], cell_m: float, stereo: bool, show: Show) -> Bui
 def sharpened(
     views: Sequence[View], cell_m: float, progress: Progress = lambda done, total: None
 ) -> tuple[list[View], float]:
-    """The same views with depths by the plane sweep where it found any; and the share of depths that are its."""
+    """The same views with their best depths: by the plane sweep where it found any, else by focus; and the share of
+    the sweep's."""
     stack = stacked(views, 1)
     found = swept_twice(views, stack, cell_m, progress)
     both = merged(stack, found)

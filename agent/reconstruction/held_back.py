@@ -1,7 +1,7 @@
 """An image model held against photographs that it has not seen: peak signal to noise, where the camera really was.
 
-What is a millimetre off costs more than all that a model gets wrong, and says nothing about it: so each photograph
-first finds its place in the model's pictures (poses/place.py), as if it were a robot's.
+A pose that is a millimetre off costs more than all that a model gets wrong, and says nothing about it: so each
+photograph first finds its place in the model's pictures (`pose_evidence.place`), as if it were a robot's.
 """
 
 from __future__ import annotations
@@ -69,8 +69,7 @@ def _floats(seen: tuple[Pictures, Pictures]) -> tuple[NDArray[np.float64], NDArr
     return seen[0].astype(float), seen[1].astype(float)
 
 
-# @@ held_back
-# Which pictures nothing is made of, so that what is rendered can be held against them.
+# --- which pictures nothing is made of, so that what is rendered can be held against them ---
 
 ENOUGH = 12  # views from which on some can be spared
 EVERY = 10
@@ -84,8 +83,7 @@ def held_back(views: Sequence[View]) -> tuple[list[View], list[View]]:
     return [view for n, view in enumerate(views) if n not in spared], [views[n] for n in spared]
 
 
-# @@ settings
-# What can be asked of the field. Nothing here is heavy: whoever reads a fleet file reads this.
+# --- settings of the field; here, because this needs no torch ---
 
 Start = Literal["surface", "nothing"]
 Device = Literal["auto", "cpu", "cuda", "mps"]

@@ -1,6 +1,7 @@
 """The image model of a scene: what it looks like from anywhere, learnt from all pictures together.
 
-A field where torch is installed (the extra `reconstruct`), else surfels: both start from the surface, and say the same.
+It is a field where torch is installed (the extra `reconstruct`), else surfels: both start from the surface, and say the
+same.
 """
 
 from __future__ import annotations
@@ -42,7 +43,7 @@ class ImageModel:
     kind: Literal["field", "surfels"]
     look: Callable[[View], tuple[Pictures, Pictures]]  # linear light (h, w, 3); depth (h, w) [m], NaN where a hole is
     water: Pictures  # (3, 3) b_D, b_B [1/m], B_inf of red green blue: they render this scene, and mean no more
-    steps: int  # of learning, or pictures that were gone through
+    steps: int  # of learning; of surfels: pictures gone through, all epochs together
     device: str
     beta_mm: float | None = None  # of a field: how thick its surface is
     beta_clamped: bool = False  # at its largest: the field hides geometry in its thickness

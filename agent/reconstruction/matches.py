@@ -22,8 +22,7 @@ from agent.reconstruction.plane_sweep import between, seen_at, slopes_of_map
 from agent.reconstruction.views import Floats, Stack, camera_in, slopes_of
 from hw.compiled import compiled
 
-# @@ windows
-# Windows of pictures along affine maps, and where one is most like another: zero-mean normalised cross correlation.
+# --- windows along affine maps, compared by zero-mean normalised cross correlation (ZNCC) ---
 
 LEAST_TEXTURE = 1e-5  # variance of tones, 0 to 1: a standard deviation of 0.3 %
 
@@ -118,8 +117,7 @@ def _vertex(before: float, here: float, after: float) -> float:
     return 0.5 * (before - after) / curve if curve < 0.0 and before > -0.9 and after > -0.9 else 0.0
 
 
-# @@ corners
-# Corners of pictures: what can be found again in others, in both directions.
+# --- corners of pictures: what can be found again in others, in both directions ---
 
 MOST, APART_PX, LEAST_QUALITY = 150, 8, 0.005  # of a view; between two; of the strongest one's strength
 RIM_PX = 6
@@ -160,7 +158,7 @@ def _of_one(stack: Stack, n: int) -> NDArray[np.int64]:
     return np.zeros((0, 2), np.int64) if at is None else np.rint(at.reshape(-1, 2)).astype(np.int64)
 
 
-# @@ matches
+# --- corners found again in other pictures ---
 
 BLURS_PX, STEP_PX = (1.5, 0.7), 2
 COARSE, FINE, NEAR_PX = 4, 5, 4  # half widths of windows, samples; half of where the sharp one is looked for

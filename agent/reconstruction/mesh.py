@@ -1,9 +1,9 @@
-"""The surface in a grid of signed distances as triangles: naive surface nets (Gibson 1998).
+"""The surface in a grid of signed distances as triangles: their vertices, colours, and what a camera sees of them.
 
-Each cube of eight cells with a change of sign between them has one vertex, the mean of the places on its edges where
-the distance is zero; each such edge joins the vertices of the four cubes around it by two triangles. An edge counts if
-both of its cells are known well enough (LEAST_WEIGHT) and do not contradict each other (MOST_JUMP_M, the far side of
-something thin).
+The triangles are those of naive surface nets (Gibson 1998). Each cube of eight cells with a change of sign between them
+has one vertex, the mean of the places on its edges where the distance is zero; each such edge joins the vertices of the
+four cubes around it by two triangles. An edge counts if both of its cells are known well enough (LEAST_WEIGHT) and do
+not contradict each other (MOST_JUMP_M, the far side of something thin).
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ class Mesh(NamedTuple):
     vertices_m: Floats  # (n, 3)
     faces: NDArray[np.int32]  # (m, 3)
     normals: NDArray[np.float32]  # (n, 3) into the water
-    colours: NDArray[np.float32]  # (n, 3) linear, red green blue; grey until colours.py has looked
+    colours: NDArray[np.float32]  # (n, 3) linear, red green blue; grey until `coloured`
     sigma_m: NDArray[np.float32]  # (n,) standard deviation, were views independent
     views: NDArray[np.uint8]  # (n,) how many saw it
 
@@ -201,8 +201,7 @@ def _join(
     return used
 
 
-# @@ colours
-# What colour each vertex of a surface has: a mean over the views that see it, nearer and straighter ones first.
+# --- colours of vertices: a mean over the views that see them, nearer and straighter ones first ---
 #
 # A view sees a vertex if its own depth there is that of the vertex, within BAND_M or three sigma. Weights are cos /
 # z^2; a view that contradicts the mean of the others by more than OFF counts for less, as a reflection or the rim of
@@ -283,10 +282,10 @@ def _colour(
         colours[number, 0], colours[number, 1], colours[number, 2] = red, green, blue
 
 
-# @@ raster
-# A surface as a camera would see it: triangles into pixels, nearest first, with the bend of the real lens.
+# --- the surface as a camera would see it ---
 #
-# Triangles are as small as the cells they come from, a few pixels, so that edges are drawn straight.
+# Triangles are drawn into pixels, nearest first, with the bend of the real lens. They are as small as the cells they
+# come from, a few pixels, so that edges are drawn straight.
 
 NEAREST_M = 0.02  # triangles nearer than that are behind the lens's own window
 RASTER_PIECE = 256  # triangles that follow one another lie near each other, as those of two bricks do
@@ -298,7 +297,7 @@ class Rendered(NamedTuple):
 
 
 def pieces_of(mesh: Mesh) -> Floats:
-    """(m, 4) middle and radius of a ball around each PIECE triangles, for `rendered`."""
+    """(m, 4) middle and radius of a ball around each RASTER_PIECE triangles, for `rendered`."""
     around = np.empty((-(-len(mesh.faces) // RASTER_PIECE), 4))
     _pieces(mesh.vertices_m, mesh.faces, around)
     return around
@@ -312,8 +311,10 @@ def rendered(
     position_m: Floats,
     pieces: Floats | None = None,
 ) -> Rendered:
-    """The mesh with these colours (n, 3) a vertex, seen from both sides. pieces: of `pieces_of`, where many views are
-    rendered of one mesh; else they are made."""
+    """The mesh with these colours (n, 3) a vertex, seen from both sides.
+
+    pieces: of `pieces_of`, where many views are rendered of one mesh; else they are made.
+    """
     picture = np.zeros((camera.height, camera.width, 3), np.float32)
     depth = np.full((camera.height, camera.width), np.inf, np.float32)
     there = np.flatnonzero(touched(pieces_of(mesh) if pieces is None else pieces, cone(camera, rotation, position_m)))

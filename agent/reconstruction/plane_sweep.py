@@ -35,8 +35,7 @@ from agent.reconstruction.views import (
 )
 from hw.compiled import compiled
 
-# @@ warp
-# What lies between two views: how a window of one, tilted as its depths are, is carried into the other's picture.
+# --- from one view to another: a window, tilted as its depths are, in the other's picture ---
 
 ENDLESS_PX = 1e3  # beside a camera pixels go to infinity
 
@@ -117,8 +116,7 @@ def between(stack: Stack, n: int, others: NDArray[np.int64], turns: Floats, shif
                     turns[k, a, b] += stack.rotations[o, c, a] * stack.rotations[n, c, b]
 
 
-# @@ neighbours
-# Which views a view is compared with: those that look at the same places from not too far and not too near.
+# --- neighbours: views that look at the same places from not too far and not too near ---
 
 MOST = 6
 ANGLE_DEG, SPREAD_DEG = 14.0, 14.0  # between two sight lines: less has no depth in it, more looks different
@@ -176,7 +174,7 @@ def _score(stack: Stack, n: int, other: int, points: Floats) -> float:
     return float(inside.mean()) * float(np.exp(-(((angle - ANGLE_DEG) / SPREAD_DEG) ** 2)))
 
 
-# @@ plane_sweep
+# --- the sweep ---
 
 HYPOTHESES, MOST_HYPOTHESES = 16, 96
 STEP_PX = 1.0  # that neighbours' pictures shift from one hypothesis to the next, at most: windows are five wide
@@ -201,7 +199,7 @@ class Swept(NamedTuple):
 
 
 class Range(NamedTuple):
-    """Where to look if no focus says it: so many equal steps of 1/z between two depths, and who has to agree."""
+    """Where to look if no focus says it: equal steps of 1/z between two depths, and how many neighbours must agree."""
 
     near_m: float
     far_m: float

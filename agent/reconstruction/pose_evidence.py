@@ -2,7 +2,10 @@
 
 Residuals are tones, (picture - seen) / s, and depths, (focus - seen) / (sigma + 4 mm), both by Huber's loss; s is 1.5
 times the median of the tones' size, 0.01 at least. Neighbouring pixels are wrong together, so that a picture of n
-pixels does not count n times: hence the two weights.
+pixels does not count n times: hence the two weights. `place` moves a view to where its picture fits.
+
+Small motions: a view's is (w, t) along its camera's axes, as in `views`; a robot's is (w, t) along the world's, about
+a centre: R <- exp([w]x) R, T <- c + exp([w]x) (T - c) + t.
 """
 
 from __future__ import annotations
@@ -142,11 +145,7 @@ def _add(row: Floats, rest: float, huber: float, weight: float, hessian: Floats,
     return 0.5 * weight * rest * rest if size <= huber else weight * huber * (size - 0.5 * huber)
 
 
-# @@ twist
-# Small motions of cameras: of one view, of all views of a robot together, and of everything at once.
-#
-# A view's is (w, t) along its camera's axes (agent/reconstruction/views.py); a robot's is (w, t) along the world's,
-# about a centre: R <- exp([w]x) R, T <- c + exp([w]x) (T - c) + t.
+# --- motions of one view, of all views of a robot together, and of everything at once ---
 
 
 def carried(view: View, centre_m: Floats) -> Floats:
@@ -176,8 +175,8 @@ LEVER_M = 0.5  # how far before each camera stands for what it looks at: half of
 def between(found: Sequence[View], true: Sequence[View]) -> Motion:
     """The one that brings `found` cameras nearest to the `true` ones, in the least squares of what they look at.
 
-    Pictures cannot tell it: who scores a reconstruction takes it off first. Each camera stands with its place and three
-    points LEVER_M before, right of and below it (Kabsch 1976 on all of them).
+    Pictures cannot tell it, so it is taken off before a reconstruction is scored. Each camera stands with its place and
+    three points LEVER_M before, right of and below it (Kabsch 1976 on all of them).
     """
     a, b = (np.concatenate([_marks(view) for view in views]) for views in (found, true))
     middle_a, middle_b = a.mean(axis=0), b.mean(axis=0)
@@ -204,8 +203,7 @@ def _marks(view: View) -> Floats:
     return np.asarray(view.position_m + np.concatenate([np.zeros((1, 3)), LEVER_M * view.rotation.T]))
 
 
-# @@ place
-# One view moved to where it fits a scene that stands still: Gauss and Newton's steps on tones and depths.
+# --- one view moved to where it fits a scene that stands still ---
 
 Look = Callable[[View], tuple[Floats, Floats]]  # linear light (h, w, 3) and depth (h, w) from a view; NaN in holes
 
@@ -219,7 +217,10 @@ class Placed(NamedTuple):
 
 
 def place(view: View, look: Look, prior: Floats | None = None, rounds: int = ROUNDS) -> Placed:
-    """The view where its picture fits; prior: information (6, 6) of its motion."""
+    """The view where its picture fits, by Gauss and Newton's steps on tones and depths.
+
+    prior: information (6, 6) of its motion.
+    """
     information = np.zeros((6, 6)) if prior is None else prior
     gone, costs, now = np.zeros(6), [], view
     for _ in range(rounds):

@@ -2,8 +2,8 @@
 
 Pictures are compared with pictures, not with a scene that was built from them: such a scene holds each view's own
 error, and draws the view back to where it was. First corners are looked for as far away as poses may be wrong, then,
-once they fit, close by. The common motion of everything stays what priors make of it (twist.between); its scale is what
-places and focus depths say of it.
+once they fit, close by. The common motion of everything stays what priors make of it (`pose_evidence.between`); its
+scale is what places and focus depths say of it.
 """
 
 from __future__ import annotations
@@ -25,8 +25,41 @@ from agent.reconstruction.pose_evidence import carried
 from agent.reconstruction.views import Camera, Floats, Stack, View, camera_in, pixel_of, rotation_of, slopes_of, stacked
 from hw.compiled import compiled
 
-# @@ blocks
-# Normal equations of many views: blocks of six by six, for pairs of views alone that see something in common.
+# --- how well a camera's pose is known: errors of the robot and of its gimbal ---
+
+LEVEL_RAD = math.radians(0.3)  # roll and pitch by four pressure sensors 0.2 m apart
+DEPTH_M = 1.5e-3  # by the same, with what waves leave
+
+
+class Sigmas(NamedTuple):
+    """Standard deviations of one robot."""
+
+    place_m: float  # in x and in y
+    yaw_rad: float
+    gimbal_rad: float  # of pan and of tilt
+
+
+def covariance_of(rotation: Floats, arm_m: Floats, sigmas: Sigmas) -> Floats:
+    """(6, 6) of (w, t) along the camera's axes; rotation (3, 3) camera to world, arm (3,) body to camera, world axes.
+
+    A turn of the body moves the camera on its arm; one of the gimbal does not.
+    """
+    turns = [(np.array([0.0, 0.0, 1.0]), sigmas.yaw_rad, True)]
+    turns += [(axis, LEVEL_RAD, True) for axis in np.eye(3)[:2]]
+    turns += [(axis, sigmas.gimbal_rad, False) for axis in (np.array([0.0, 0.0, 1.0]), rotation[:, 0])]
+    shifts = [(axis, sigma) for axis, sigma in zip(np.eye(3), (sigmas.place_m, sigmas.place_m, DEPTH_M), strict=True)]
+    total = np.zeros((6, 6))
+    for axis, sigma, with_arm in turns:
+        moved = np.cross(axis, arm_m) if with_arm else np.zeros(3)
+        column = np.concatenate([rotation.T @ axis, rotation.T @ moved])
+        total += sigma**2 * np.outer(column, column)
+    for axis, sigma in shifts:
+        column = np.concatenate([np.zeros(3), rotation.T @ axis])
+        total += sigma**2 * np.outer(column, column)
+    return total
+
+
+# --- normal equations of many views: blocks of six by six, only for pairs of views that see something in common ---
 #
 # A view of a survey shares corners with those around it, not with all: 16 a view of 500 keyframes of a basin. So the
 # time and the memory that it takes to solve for all of them go nearly with how many they are, not with their cube and
@@ -86,8 +119,7 @@ def solved(information: Sparse, pull: Floats) -> Floats:
     return np.asarray(factors.solve(pull), float)
 
 
-# @@ shared_prior
-# What is known of poses and of focus depths before pictures are compared: errors that a robot's views share.
+# --- what is known before pictures are compared: errors that a robot's views share ---
 
 VIEW_SIGMA = (np.radians(0.1), 1e-3)  # rad and m: what a view's pose has of its own, beside its robot
 FOCUS_SHARED = 4e-3  # of z: what a lens' calibration makes all its depths wrong by together
@@ -137,17 +169,16 @@ def certainty_of(views: Sequence[View], corners: Corners) -> Floats:
     return np.asarray(relative * corners.depth_m**2)
 
 
-# @@ bundle
-# Poses of views and depths of their corners that fit where the corners were found in other pictures.
+# --- bundle adjustment: poses of views and depths of their corners ---
 #
-# Bundle adjustment. A corner lies on its own pixel's ray at 1/z: one unknown, which is eliminated (Schur), so that
-# six for each view are left. Steps are Gauss and Newton's, with Cauchy's weights of a scale c that narrows; least
-# becomes
+# They fit where the corners were found in other pictures. A corner lies on its own pixel's ray at 1/z: one unknown,
+# which is eliminated (Schur), so that six for each view are left. Steps are Gauss and Newton's, with Cauchy's weights
+# of a scale c that narrows; least becomes
 #
 # c^2/2 sum log(1 + |found - seen|^2 / c^2) / s^2 + the like of (1/z_focus - 1/z) + 1/2 xi' Lambda xi
 #
 # with xi = (w, t) of all views along their cameras' axes, and of all robots, Lambda the information of
-# shared_prior.py, and s what a match is worth, in pixels.
+# `information_of`, and s what a match is worth, in pixels.
 
 FOCUS_SCALE = 2.0  # Cauchy's, for depths, in their standard deviations
 DAMPING = 1e-6
@@ -325,7 +356,7 @@ def pixel_by_point(camera: Camera, p: Floats, out: Floats) -> None:
     out[1, 0], out[1, 1], out[1, 2] = xy, yy, -xy * x - yy * y
 
 
-# @@ refine
+# --- poses of all views, refined in rounds ---
 
 REACH_SIGMAS, LEAST_REACH_PX, MOST_REACH_PX = 3.5, 8.0, 40.0
 LEAST_SIGMA_PX = 0.5  # what one match is worth at best
@@ -381,38 +412,3 @@ def _reach_px(views: Sequence[View], stack: Stack, found: Corners) -> float:
     z = float(np.median(found.depth_m)) if len(found.depth_m) else 1.0
     sigma_px = float(stack.cameras[:, 0].max()) * np.sqrt(2.0 * (variance[0] + variance[1] / z**2))
     return float(np.clip(REACH_SIGMAS * sigma_px, LEAST_REACH_PX, MOST_REACH_PX))
-
-
-# @@ prior
-# How well a camera's pose is known: what is unknown of the robot and of its gimbal, as a covariance of (w, t).
-
-LEVEL_RAD = math.radians(0.3)  # roll and pitch by four pressure sensors 0.2 m apart
-DEPTH_M = 1.5e-3  # by the same, with what waves leave
-
-
-class Sigmas(NamedTuple):
-    """Standard deviations of one robot."""
-
-    place_m: float  # in x and in y
-    yaw_rad: float
-    gimbal_rad: float  # of pan and of tilt
-
-
-def covariance_of(rotation: Floats, arm_m: Floats, sigmas: Sigmas) -> Floats:
-    """(6, 6) of (w, t) along the camera's axes; rotation (3, 3) camera to world, arm (3,) body to camera, world axes.
-
-    A turn of the body moves the camera on its arm; one of the gimbal does not.
-    """
-    turns = [(np.array([0.0, 0.0, 1.0]), sigmas.yaw_rad, True)]
-    turns += [(axis, LEVEL_RAD, True) for axis in np.eye(3)[:2]]
-    turns += [(axis, sigmas.gimbal_rad, False) for axis in (np.array([0.0, 0.0, 1.0]), rotation[:, 0])]
-    shifts = [(axis, sigma) for axis, sigma in zip(np.eye(3), (sigmas.place_m, sigmas.place_m, DEPTH_M), strict=True)]
-    total = np.zeros((6, 6))
-    for axis, sigma, with_arm in turns:
-        moved = np.cross(axis, arm_m) if with_arm else np.zeros(3)
-        column = np.concatenate([rotation.T @ axis, rotation.T @ moved])
-        total += sigma**2 * np.outer(column, column)
-    for axis, sigma in shifts:
-        column = np.concatenate([np.zeros(3), rotation.T @ axis])
-        total += sigma**2 * np.outer(column, column)
-    return total

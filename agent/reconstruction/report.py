@@ -1,4 +1,4 @@
-"""The page of a reconstruction: what came of it, views beside photographs that were held back, how sure what is."""
+"""The page of a reconstruction: its surface, views beside photographs that were held back, and how sure it is."""
 
 from __future__ import annotations
 
@@ -23,8 +23,7 @@ from agent.reconstruction.mesh import Mesh, Rendered, pieces_of, rendered
 from agent.reconstruction.views import Camera, Floats, View
 from replay.report.page import PAGE
 
-# @@ beside
-# Rendered views beside photographs that nothing was made of, and how alike they are.
+# --- rendered views beside photographs that nothing was made of ---
 
 Render = Callable[[View], Rendered]  # what a view would see; pixels that it cannot tell have no depth
 
@@ -62,8 +61,7 @@ def psnr_db(a: NDArray[np.float32], b: NDArray[np.float32], where: NDArray[np.bo
     return 10.0 * math.log10(1.0 / max(float(np.mean((first - second) ** 2)), 1e-12))
 
 
-# @@ looks
-# A surface as seen from where no robot was: from above, and once round it; by its colours or by how sure it is.
+# --- the surface from where no robot was, by its colours or by how sure it is ---
 
 WIDTH, HEIGHT, F_PX = 800, 600, 900.0
 ELEVATION_DEG = 38.0  # from which the turntable looks down
@@ -85,7 +83,7 @@ def by_views(mesh: Mesh) -> NDArray[np.float32]:
 
 
 def looked_at(mesh: Mesh, colours: NDArray[np.float32], bearing_deg: float, elevation_deg: float) -> NDArray[np.uint8]:
-    """(height, width, 3) red green blue; only what faces the eye, so that one looks through walls into a tank."""
+    """(height, width, 3) red green blue; only what faces the eye, so that the view goes through walls into a tank."""
     low, high = np.quantile(mesh.vertices_m, (0.01, 0.99), axis=0)
     middle, size = (low + high) / 2.0, float(np.linalg.norm(high - low))
     b, e = math.radians(bearing_deg), math.radians(elevation_deg)
@@ -127,7 +125,7 @@ def _mapped(name: str, share: NDArray[np.floating]) -> NDArray[np.float32]:
     return np.asarray(shown**2.2, np.float32)  # linear light, which is encoded again
 
 
-# @@ report
+# --- the page ---
 
 TOP_DEG = 89.9
 MOST_SHOWN = 12

@@ -24,71 +24,7 @@ from agent.reconstruction.report import write_report
 from agent.reconstruction.sources import recorded_views, transforms_views
 from agent.reconstruction.views import Floats, View, stacked
 
-# @@ without_focus
-# Depths of pictures that come with poses alone: a plane sweep over the whole range, then a finer one around it.
-#
-# Such scenes have any unit, so they are brought to the size of a tank first: what cameras look at is then DISTANCE_M
-# away, and lengths in this house's modules mean what they say. `unit` brings them back.
-
-DISTANCE_M = 0.7
-NEAR, FAR = 0.25, 5.0  # shares of that, between which things are looked for
-STEPS = 2.0  # of the wide sweep, as sigma: what its depths are good for
-
-
-def scale_of(views: Sequence[View]) -> float:
-    """By what to multiply lengths. Raises Failed where cameras look at nothing together."""
-    centre = looked_at(views)
-    distances = [float((centre - view.position_m) @ view.rotation[:, 2]) for view in views]
-    typical = float(np.median(distances))
-    if not typical > 0.0:
-        raise Failed("the cameras do not look at one scene: what is nearest to all their axes is behind them")
-    return DISTANCE_M / typical
-
-
-def looked_at(views: Sequence[View]) -> Floats:
-    """The place (3,) that is nearest to the optical axes of all views, least squares."""
-    normal, right = 1e-9 * np.eye(3), np.zeros(3)
-    for view in views:
-        axis = view.rotation[:, 2]
-        across = np.eye(3) - np.outer(axis, axis)
-        normal += across
-        right += across @ view.position_m
-    return np.asarray(np.linalg.solve(normal, right))
-
-
-def scaled(views: Sequence[View], by: float) -> list[View]:
-    """All lengths multiplied."""
-    return [
-        replace(
-            view,
-            camera=view.camera._replace(ahead_m=view.camera.ahead_m * by),
-            position_m=view.position_m * by,
-            depth_m=(view.depth_m * by).astype(np.float32),
-            sigma_m=(view.sigma_m * by).astype(np.float32),
-        )
-        for view in views
-    ]
-
-
-def scaled_mesh(mesh: Mesh, by: float) -> Mesh:
-    return mesh._replace(vertices_m=mesh.vertices_m * by, sigma_m=(mesh.sigma_m * by).astype(np.float32))
-
-
-def with_depths(views: Sequence[View], progress: Progress) -> list[View]:
-    """Views of a scene of this house's size, with depths where two neighbours have the same."""
-    everywhere = Range(NEAR * DISTANCE_M, FAR * DISTANCE_M)
-    guess = [replace(view, depth_m=np.full_like(view.depth_m, DISTANCE_M)) for view in views]
-    near_by = neighbours(stacked(guess))
-    found = plane_sweep(stacked(views), near_by, progress, everywhere)
-    step = (1.0 / everywhere.near_m - 1.0 / everywhere.far_m) / everywhere.hypotheses
-    result = []
-    for n, view in enumerate(views):
-        depth = found.depth_m[n, : view.camera.height, : view.camera.width]
-        result.append(replace(view, depth_m=depth, sigma_m=(STEPS * step * depth**2).astype(np.float32)))
-    return result
-
-
-# @@ run
+# --- the command ---
 
 RESULT = "result.json"
 AT_ONCE = 1_000_000  # triangles: those of a large scene as floats, all at once, would be a gigabyte
@@ -149,7 +85,7 @@ def _from_recordings(settings: Settings, show: Show) -> tuple[Built, list[View],
 
 
 def _from_pictures(settings: Settings, folder: Path, show: Show) -> tuple[Built, list[View], dict[str, int]]:
-    """What others took has poses alone; it is worked on at the size of a tank, and given back at its own."""
+    """Pictures that others took have poses alone; work is done at the size of a tank, and results are at their own."""
     views = transforms_views(folder, show)
     by = scale_of(views)
     used, held = held_back(scaled(views, by))
@@ -214,3 +150,67 @@ def area_m2(mesh: Mesh) -> float:
         a, b, c = (mesh.vertices_m[mesh.faces[first : first + AT_ONCE, k]] for k in range(3))
         total += 0.5 * float(np.linalg.norm(np.cross(b - a, c - a), axis=1).sum())
     return total
+
+
+# --- pictures that come with poses alone ---
+#
+# Their depths are those of a plane sweep over the whole range, then of a finer one around it. Such scenes have any
+# unit, so they are brought to the size of a tank first: what cameras look at is then DISTANCE_M away, and lengths in
+# metres mean what they say. `run` brings them back to their own unit.
+
+DISTANCE_M = 0.7
+NEAR, FAR = 0.25, 5.0  # shares of that, between which things are looked for
+STEPS = 2.0  # of the wide sweep, as sigma: what its depths are good for
+
+
+def scale_of(views: Sequence[View]) -> float:
+    """By what to multiply lengths. Raises Failed where cameras look at nothing together."""
+    centre = looked_at(views)
+    distances = [float((centre - view.position_m) @ view.rotation[:, 2]) for view in views]
+    typical = float(np.median(distances))
+    if not typical > 0.0:
+        raise Failed("the cameras do not look at one scene: what is nearest to all their axes is behind them")
+    return DISTANCE_M / typical
+
+
+def looked_at(views: Sequence[View]) -> Floats:
+    """The place (3,) that is nearest to the optical axes of all views, least squares."""
+    normal, right = 1e-9 * np.eye(3), np.zeros(3)
+    for view in views:
+        axis = view.rotation[:, 2]
+        across = np.eye(3) - np.outer(axis, axis)
+        normal += across
+        right += across @ view.position_m
+    return np.asarray(np.linalg.solve(normal, right))
+
+
+def scaled(views: Sequence[View], by: float) -> list[View]:
+    """All lengths multiplied."""
+    return [
+        replace(
+            view,
+            camera=view.camera._replace(ahead_m=view.camera.ahead_m * by),
+            position_m=view.position_m * by,
+            depth_m=(view.depth_m * by).astype(np.float32),
+            sigma_m=(view.sigma_m * by).astype(np.float32),
+        )
+        for view in views
+    ]
+
+
+def scaled_mesh(mesh: Mesh, by: float) -> Mesh:
+    return mesh._replace(vertices_m=mesh.vertices_m * by, sigma_m=(mesh.sigma_m * by).astype(np.float32))
+
+
+def with_depths(views: Sequence[View], progress: Progress) -> list[View]:
+    """Views of a scene of the size of a tank, with depths where two neighbours have the same."""
+    everywhere = Range(NEAR * DISTANCE_M, FAR * DISTANCE_M)
+    guess = [replace(view, depth_m=np.full_like(view.depth_m, DISTANCE_M)) for view in views]
+    near_by = neighbours(stacked(guess))
+    found = plane_sweep(stacked(views), near_by, progress, everywhere)
+    step = (1.0 / everywhere.near_m - 1.0 / everywhere.far_m) / everywhere.hypotheses
+    result = []
+    for n, view in enumerate(views):
+        depth = found.depth_m[n, : view.camera.height, : view.camera.width]
+        result.append(replace(view, depth_m=depth, sigma_m=(STEPS * step * depth**2).astype(np.float32)))
+    return result

@@ -1,8 +1,9 @@
-"""Black boxes -> views: what each whole sweep shows, and where the camera was when the frame was taken it is drawn on.
+"""Views from recordings (black boxes), or from a folder of pictures in nerfstudio's layout.
 
-A moored robot is where the fleet file says, at the depth, roll and pitch that its pressure sensors tell; one that swims
-is where it logged that it was. While the lens moves the robot drifts by some pixels. The target's centre says where the
-frames lie on each other; where there is none they are registered.
+Each whole sweep of a recording gives one view: what it shows, and where the camera was at its largest frame. A moored
+robot is where the fleet file says, at the depth, roll and pitch that its pressure sensors tell; one that swims is where
+it logged that it was. While the lens moves the robot drifts by some pixels. The target's centre says where the frames
+lie on each other; where there is none they are registered.
 """
 
 from __future__ import annotations
@@ -184,8 +185,7 @@ def _pose(box: BlackBox, moved: Motion, t_ns: int) -> tuple[Floats, Floats, Floa
     return rotation, position, covariance, math.asin(max(-1.0, min(1.0, float(rotation[2, 2]))))
 
 
-# @@ transforms_in
-# Pictures that others took: a folder in nerfstudio's layout -> views without depths of their own.
+# --- pictures that others took: a folder in nerfstudio's layout -> views without depths of their own ---
 #
 # Nothing there says how far anything is. A view gets a depth range instead, as a prior as wide as the scene: the
 # plane sweep then looks all along the line of sight. Scenes have any unit and any size.

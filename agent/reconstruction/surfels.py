@@ -1,8 +1,9 @@
-"""Discs drawn into a picture: elliptical Gaussians (EWA splatting, Zwicker et al. 2001), nearest first.
+"""The image model as surfels: discs on the surface, their colours and the water fitted to pictures, without torch.
 
-A disc's Gaussian of standard deviation r in its plane is one in the picture, of covariance r^2 J (1 - n n') J' + what
-a pixel is wide; J is the camera's Jacobian, bend and all. Discs that lie within FRONT_M + FRONT_SHARE of the front are
-one surface, and blended; what is behind them is hidden.
+Discs are drawn as elliptical Gaussians (EWA splatting, Zwicker et al. 2001), nearest first. A disc's Gaussian of
+standard deviation r in its plane is one in the picture, of covariance r^2 J (1 - n n') J' + what a pixel is wide; J is
+the camera's Jacobian, bend and all. Discs that lie within FRONT_M + FRONT_SHARE of the front are one surface, and
+blended; what is behind them is hidden.
 """
 
 from __future__ import annotations
@@ -20,8 +21,7 @@ from agent.reconstruction.mesh import Mesh
 from agent.reconstruction.views import Camera, View, pixel_grid, ray_slopes
 from hw.compiled import compiled
 
-# @@ cloud
-# Points of a surface, thinned to discs that cover it once.
+# --- points of a surface, thinned to discs that cover it once ---
 
 Floats = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def cloud_of(mesh: Mesh, cell_m: float) -> Cloud:
     return thinned(mesh.vertices_m, mesh.normals.astype(float), cell_m)
 
 
-# @@ splat
+# --- discs drawn into a picture ---
 
 CUT = 2.5  # standard deviations at which a Gaussian ends
 FRONT_CUT = 1.4  # and within which it hides what is behind: discs are half that far apart
@@ -115,8 +115,11 @@ def blended(drawn: Splats, values: Floats) -> Floats:
 
 
 def gathered(drawn: Splats, pixels: Floats) -> tuple[Floats, Floats]:
-    """What comes back to each disc of drawn.numbers of pixels' values (height, width, k): sums (n, k) of share times
-    value, and of shares (n,). A disc's share of a pixel is its part in the mean; holes must be 0."""
+    """What comes back to each disc of drawn.numbers of pixels' values (height, width, k).
+
+    Sums (n, k) of share times value, and of shares (n,). A disc's share of a pixel is its part in the mean; holes must
+    be 0.
+    """
     total, shares = np.zeros((len(drawn.discs), pixels.shape[2])), np.zeros(len(drawn.discs))
     _gather(drawn.discs, drawn.front_m, drawn.weight, pixels, total, shares)
     return total, shares
@@ -225,8 +228,7 @@ def _gather(discs: Floats, front: Floats, weight: Floats, pixels: Floats, total:
                         total[i, k] += share * pixels[row, col, k]
 
 
-# @@ fit
-# Colours of discs, and the water before them, fitted to pictures by Adam: one picture a step, each once an epoch.
+# --- colours and water, fitted to pictures by Adam: one picture a step, each once an epoch ---
 
 GAMMA, DARKEST = 1.0 / 2.2, 1e-5  # a picture's tone is (light + DARKEST)^GAMMA, as in the field
 TONE_HUBER = 0.1
@@ -243,7 +245,7 @@ class Surfels:
     cloud: Cloud
     colour: Floats  # (n, 3) linear light, red green blue, as without water; NaN: no picture showed it
     water: Floats  # (3, 3) rows b_D, b_B, B_inf; columns red green blue
-    pieces: Floats  # of splat.pieces_of
+    pieces: Floats  # of `pieces_of`
 
 
 def picture(surfels: Surfels, view: View) -> tuple[Floats, Floats]:

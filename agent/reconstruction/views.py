@@ -1,7 +1,10 @@
 """One keyframe of a reconstruction: where a camera was, what it saw, and how far away that is.
 
-World = rotation @ p + position, p in the camera frame of camera.py. A small correction of a pose is (w, t): rotation
-R <- R exp([w]x), position T <- T + R t; w in rad and t in metres, both along the camera's axes.
+Camera frame: x right, y down, z forward, origin at the gimbal's pivot. World = rotation @ p + position, p in the camera
+frame. A small correction of a pose is (w, t): rotation R <- R exp([w]x), position T <- T + R t; w in rad and t in
+metres, both along the camera's axes.
+
+`keyframe` makes picture and depths from one whole sweep of the focus. A `Stack` is many views as arrays, for kernels.
 """
 
 from __future__ import annotations
@@ -23,11 +26,9 @@ from agent.process.command import Failed
 from hw.camera.camera import Image
 from hw.compiled import compiled
 
-# @@ camera
-# A camera under water as reconstruction sees it: points to pixels and back, for whole pictures and inside kernels.
+# --- the camera: points to pixels and back, for whole pictures and inside kernels ---
 #
-# Camera frame: x right, y down, z forward, origin at the gimbal's pivot. Rays meet `ahead_m` before the pivot. A
-# point p has the slopes (x, y) = (p_x, p_y) / (p_z - ahead_m) and is seen at
+# Rays meet `ahead_m` before the pivot. A point p has the slopes (x, y) = (p_x, p_y) / (p_z - ahead_m) and is seen at
 #
 # u = cx + f x (1 + bend (x^2 + y^2)),  v = cy + f y (1 + bend (x^2 + y^2))
 #
@@ -123,12 +124,12 @@ def slopes_of(camera: Camera, u: float, v: float) -> tuple[float, float]:
     return x * scale, y * scale
 
 
-# @@ view
+# --- the view ---
 
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Arrays are not copied; nobody writes into them.
+    """One keyframe. Arrays are not copied, and must not be written to.
 
     Views of one (robot, incarnation) share what is wrong with where that robot believes to be.
     """
@@ -192,8 +193,7 @@ def rotation_of(w_rad: Floats) -> Floats:
     return np.asarray(np.eye(3) + first * cross + second * cross @ cross)
 
 
-# @@ composite
-# One picture that is sharp everywhere, in linear light, on the scale of the largest frame of a sweep.
+# --- one picture that is sharp everywhere, in linear light, on the scale of the largest frame of a sweep ---
 #
 # A picture grows about the optical axis as its lens moves. Every frame that is sharpest anywhere is brought to the
 # largest one's scale and made smaller, and each part of the picture is taken from its sharpest frame, with seams
@@ -259,8 +259,7 @@ def _shares(squares: Picture, side_px: float, times: int, small: tuple[int, int]
     return np.asarray(cv2.warpAffine(squares, there, small, flags=flags, borderMode=cv2.BORDER_REPLICATE), np.float32)
 
 
-# @@ focus_maps
-# How far each pixel is, with its uncertainty, from the blocks of a sweep.
+# --- how far each pixel is, with its uncertainty, from the blocks of a sweep ---
 #
 # Blocks, and the parts of those that hold two depths, are sharp at their mean vergence, so 1/z is what lies on a line
 # between them: a pixel has the bilinear mean of the four around it, if they agree,
@@ -327,8 +326,10 @@ def _from_grid(
 
 
 def _with_the_fourth(four: Floats, weight: Floats) -> Floats:
-    """Where one of the four (4, height, width) is unknown, what the plane through the others has there: for pixels in
-    the triangle between them, which are nearer to the one across than to the one that is missing."""
+    """Where one of the four (4, height, width) is unknown, what the plane through the others has there.
+
+    That is for pixels in the triangle between them, which are nearer to the one across than to the one that is missing.
+    """
     filled = four.copy()
     for k in range(4):
         a, b = (j for j in range(4) if j not in (k, 3 - k))
@@ -350,8 +351,7 @@ def _picked(values: Floats, rows: NDArray[np.int64], cols: NDArray[np.int64]) ->
     return np.where(inside, values[np.maximum(rows, 0)[:, None], np.maximum(cols, 0)[None]], np.nan)
 
 
-# @@ keyframe
-# What one whole sweep of the focus says: a picture that is sharp everywhere, and how far each pixel is.
+# --- picture and depths of one whole sweep of the focus ---
 
 BLOCKS_ACROSS = 25  # blocks of 50 px in a picture of 1280: enough texture for a peak, enough of them for a surface
 PICTURE_WIDTH = 320  # about what pictures are reduced to: there what is out of focus by a step looks sharp
@@ -409,7 +409,7 @@ def keyframe(
 
 
 def growth_of(images: Sequence[Image], lens_positions: Array, calibration: Calibration) -> float:
-    """Relative growth of the picture over the sweep, as calibrated; measured where nobody did, 0 where it cannot be."""
+    """Relative growth of the picture over the sweep, as calibrated; measured where it is not, 0 where it cannot be."""
     breathing = calibration.camera.breathing
     if breathing == 0.0:
         return measure_growth(images) or 0.0
@@ -417,12 +417,11 @@ def growth_of(images: Sequence[Image], lens_positions: Array, calibration: Calib
     return last / first - 1.0
 
 
-# @@ stack
-# Many views as arrays, for kernels: pictures of different sizes are laid into the corner of the largest.
+# --- many views as arrays, for kernels ---
 
 
 class Stack(NamedTuple):
-    """n views; what lies beyond a picture is NaN in depth and sigma."""
+    """n views: pictures of different sizes are laid into the corner of the largest; beyond, depth and sigma are NaN."""
 
     cameras: Floats  # (n, 5) f_px, cx_px, cy_px, bend, ahead_m
     sizes: NDArray[np.int64]  # (n, 2) width, height
@@ -430,9 +429,7 @@ class Stack(NamedTuple):
     positions_m: Floats  # (n, 3)
     depth_m: NDArray[np.float32]  # (n, height, width)
     sigma_m: NDArray[np.float32]
-    pictures: NDArray[
-        np.float32
-    ]  # (n, height, width, channels): 3 red green blue, 1 grey, 0: depths alone are asked for
+    pictures: NDArray[np.float32]  # (n, height, width, channels): 3 red green blue, 1 grey, 0 where depths suffice
 
 
 def stacked(views: Sequence[View], channels: Literal[0, 1, 3] = 3) -> Stack:
@@ -470,6 +467,6 @@ def camera_in(stack: Stack, n: int) -> Camera:
 
 
 def camera_at(stack: Stack, n: int) -> Camera:
-    """The same in plain numbers, for whom a kernel is not worth compiling."""
+    """The same in plain numbers, for use outside kernels."""
     f, cx, cy, bend, ahead = stack.cameras[n].tolist()
     return Camera(f, cx, cy, bend, ahead, *stack.sizes[n].tolist())
