@@ -13,6 +13,8 @@ FRESH_NS = 500_000_000  # 25 missed frames: the module is silent
 
 
 class Attitude(NamedTuple):
+    """Of the body at one time."""
+
     depth_m: float
     roll_deg: float
     pitch_deg: float
@@ -34,20 +36,22 @@ class AttitudeLog(Revertible):
             self._log.popleft()
 
     def silent(self, now_ns: int, since_ns: int) -> bool:
-        """Nothing heard of late; `since_ns` is when listening began."""
+        """Whether no telemetry came of late; `since_ns` is when listening began."""
         newest_ns = self._log[-1].t_ns if self._log else since_ns
         return now_ns - newest_ns > FRESH_NS
 
     def obeys(self, now_ns: int) -> bool:
-        """Whether forces act: the module refuses to arm while it is asked for them, and none act while it has taken
-        over."""
+        """Whether forces act: the module is armed and not in failsafe.
+
+        It refuses to arm while it is asked for forces, and none act while it has taken over.
+        """
         newest = self.newest
         return newest is not None and not self.silent(now_ns, 0) and newest.armed and newest.ladder == 0
 
     def at(self, t_ns: int) -> Attitude | None:
         """Linear between the two frames around a time; None where there are none near."""
         before = after = None
-        for telemetry in reversed(self._log):  # what is asked about was a moment ago
+        for telemetry in reversed(self._log):  # the time asked about is a moment ago
             if telemetry.t_ns <= t_ns:
                 before = telemetry
                 break

@@ -1,7 +1,6 @@
-"""A keyframe: what one sweep of the focus over a whole view measured, as integers, as robots tell it to each other.
+"""Messages of the capabilities `survey` (keyframes, claims) and `light` (lamps, leases), as frozen structs.
 
-Whoever has the same keyframes has the same map, to the bit: nothing of them is a float, and what is made of them uses
-+ - * / and square roots alone, which are the same on every processor.
+Units, times and frames as in agent/core/messages.py.
 """
 
 from __future__ import annotations
@@ -14,6 +13,11 @@ from msgspec import UNSET, Meta, UnsetType
 
 from agent.core.messages import NUMBER, SCHEMA, SENT, Count, Id, Message, Vector, means
 
+# --- keyframe ---
+# What one sweep of the focus over a whole view measured, as integers. Robots that have the same keyframes have the same
+# map, to the bit: nothing of them is a float, and what is made of them uses + - * / and square roots alone, which are
+# the same on every processor.
+
 UNIT_M = 1e-4  # of places and depths
 TURN_ONE = 1 << 30  # of a quaternion's components
 MOST_BLOCKS = 25 * 19
@@ -25,7 +29,7 @@ SIGMA_FIRST_M, SIGMA_STEP = 0.0005, 1.025  # sigma of a byte q: SIGMA_FIRST_M SI
 
 
 def _sigmas() -> tuple[float, ...]:
-    """By products, which are the same everywhere; a power is not."""
+    """By products, which are the same on every processor; a power is not."""
     found = [SIGMA_FIRST_M]
     while len(found) < 256:
         found.append(found[-1] * SIGMA_STEP)
@@ -127,7 +131,7 @@ def place_of(at_m: Vector) -> Place:
 
 
 def frame_fault(frame: Frame, tank_m: Vector) -> str | None:
-    """Why nobody can have measured that; None where somebody can. Its head is for who receives it to judge."""
+    """Why no robot can have measured that; None where one can. The receiver judges origin, incarnation and number."""
     blocks = len(frame.sigmas)
     if not blocks or len(frame.depths) != 2 * blocks or blocks % frame.lens.cols:
         return "depths and sigmas are not of one grid of blocks"
@@ -143,8 +147,8 @@ def pose_fault(place: Place, turn: Quaternion, tank_m: Vector) -> bool:
     return outside or abs(length - TURN_ONE * TURN_ONE) > TURN_ONE * TURN_ONE // 100
 
 
-# @@ claim
-# What a robot of a survey says of itself twice a second: where it looks next, and which keyframes it holds.
+# --- claim ---
+# What a robot of a survey says of itself twice a second.
 
 SHORT_MASK = 32  # numbers after the first that is missing, of which it is said whether they are held
 
@@ -189,28 +193,26 @@ class Claim(Message, frozen=True, kw_only=True):
 
 
 def holds(claim: Claim) -> tuple[int, int]:
-    """How many keyframes whoever claims has made since its start, and how many it holds in all."""
+    """How many keyframes the sender of a claim has made since its start, and how many it holds in all."""
     counts = [(has, has.upto + has.beyond.bit_count()) for has in claim.has]
     own = sum(n for has, n in counts if (has.origin, has.incarnation) == (claim.src, claim.incarnation))
     return own, sum(n for _, n in counts)
 
 
 def claim_fault(claim: Claim, tank_m: Vector) -> str | None:
-    """Why nobody can be about to look like that; None where somebody can."""
+    """Why no robot can be about to look like that; None where one can."""
     view = claim.view
     if view is not UNSET and pose_fault(view.place, view.turn, tank_m):
         return "no pose of a camera in the tank"
     return None
 
 
-# @@ words
-# What robots say of light to each other: where the own lamp is at, whose light is asked for, and what is answered.
-#
-# Each word is all that there is to say, so that the newest stands for those before it, and a lost one costs nothing
-# but time. Nothing in it counts from a clock: leases say how long they still last, and what came before what is told
-# by numbers. `changes` counts commands that altered the light; `heard` says which of the reader's words the sender
-# had by then. Two words with the same `changes`, of which one came before a sweep began and the other was said by
-# somebody who had heard what was said after its end, prove that this lamp did not change in it.
+# --- light ---
+# Lamps and leases. Each message holds all that there is to say: the newest replaces those before it, and a lost one
+# costs only time. No time in it counts from a clock: leases say how long they still last, and order is told by numbers.
+# `changes` counts commands that altered the light; `heard` says which of the reader's messages the sender had by then.
+# Take two messages with the same `changes`: one came before a sweep began, the other was said by a robot that had heard
+# what was said after the end of the sweep. They prove that this lamp did not change in the sweep.
 
 MOST_HOLDS_S = 30.0  # a lease ends by itself, whatever its holder says
 MOST_WAITED = 600  # tenths of a second
@@ -278,7 +280,7 @@ class Light(Message, frozen=True, kw_only=True):
 
 
 def light_fault(said: Light, tank_m: Vector) -> str | None:
-    """Why nobody can mean that; None where somebody can."""
+    """Why no robot can mean that; None where one can."""
     if said.lease is UNSET:
         return None
     at_m, names = said.lease.at_m, [name for name, _ in said.lease.lamps]

@@ -1,4 +1,7 @@
-"""Messages <-> bytes: the msgpack map of a struct, and why bytes are no message. Only the shape is believed here."""
+"""Messages to bytes and back: the msgpack map of a struct. Only the shape of a message is checked here.
+
+`Refusal` says why bytes are no message. `stated_size` reads how large a picture says it is before it is decoded.
+"""
 
 from __future__ import annotations
 
@@ -19,8 +22,11 @@ RefusalKind = Literal[
 ]
 
 
+READABLE = frozenset({1, SCHEMA})  # schemas of recordings: what the later one added, older messages lack
+
+
 class Refusal(ValueError):
-    """A payload that is not believed: `kind` to count by, the text to read."""
+    """A payload that is not believed: `kind` is what it is counted by, the text is for people."""
 
     def __init__(self, kind: RefusalKind, text: str) -> None:
         super().__init__(text)
@@ -30,9 +36,6 @@ class Refusal(ValueError):
 def encode(message: Message) -> bytes:
     """The msgpack map of a message, fields in the order of declaration: equal messages give equal bytes."""
     return bytes(msgpack.packb(msgspec.to_builtins(message, builtin_types=(bytes,))))
-
-
-READABLE = frozenset({1, SCHEMA})  # schemas of recordings: what the later one added, older messages lack
 
 
 def decode(
@@ -62,8 +65,10 @@ def decode(
 
 
 def prepare() -> None:
-    """Have msgspec look into all kinds of messages that there are, before a second thread reads any: two that do it at
-    the same time were seen to end in a segmentation fault (msgspec 0.22.0)."""
+    """Have msgspec look into all kinds of messages, before a second thread reads any.
+
+    Two threads that do it at the same time end in a segmentation fault (seen with msgspec 0.22.0).
+    """
     kinds: list[type[Message]] = [Message]
     for kind in kinds:
         kinds += kind.__subclasses__()
@@ -76,12 +81,12 @@ def encoding(kind: type[Message]) -> str:
     return f"application/msgpack;aucamp.{kind.__name__}"
 
 
-# @@ picture_head
-# How large a picture says it is, read before anybody takes the memory that it asks for.
+# --- stated size of a picture ---
+# A decoder takes as much memory as the head of a picture asks for, so the head is read first.
 
 
 def stated_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height in pixels as the head of a PNG or JPEG states them; None: it is neither.
+    """Width and height in pixels as the head of a PNG or JPEG states them; None where it is neither.
 
     Source: W3C PNG, 11.2.2 (IHDR); ITU-T T.81, B.1.1.3 and B.2.2 (markers and frame header).
     """

@@ -1,4 +1,7 @@
-"""The tables of fleet.toml as frozen structs: fleet_reader.py reads them, fleet_rules.py holds them to its rules."""
+"""The tables of fleet.toml as frozen structs, TOML files into structs and back, and the digest that a fleet shares.
+
+agent/robot/fleet_reader.py reads a fleet file and checks it against its rules.
+"""
 
 from __future__ import annotations
 
@@ -11,43 +14,7 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
-# @@ settings
-# The table [lighting] of fleet.toml: water and lamps as somebody measured them, and how lamps are lent.
-
-Coefficient = Annotated[float, Meta(gt=0, le=20)]
-Bands = tuple[Coefficient, Coefficient, Coefficient]  # blue, green, red
-
-
-class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """Base of all configuration: immutable, and a key that nobody knows is an error."""
-
-
-class WaterOptics(Struct, frozen=True, kw_only=True):
-    """Beam attenuation is the sum of both. Measured by an instrument: pictures do not tell one from the other."""
-
-    absorption_per_m: Bands
-    scattering_per_m: Bands
-
-
-class Beam(Struct, frozen=True, kw_only=True):
-    """A lamp of the fleet; all are alike. Flat to 0.8 of the half angle, nothing beyond 1.2 of it."""
-
-    intensity_w_sr: Annotated[float, Meta(gt=0)] = 1.2  # on its axis, in each colour, at full power
-    half_deg: Annotated[float, Meta(ge=5, le=60)] = 25.0  # in water
-    beside_m: Annotated[float, Meta(ge=0.01, le=1)] = 0.12  # to the left of the optical centre, level with it
-
-
-class Lighting(Struct, frozen=True, kw_only=True):
-    """Robots that light for each other. None of it in the fleet file: no lamp burns, every decision as without."""
-
-    water: WaterOptics
-    beam: Beam = Beam()
-    guard_s: Annotated[float, Meta(gt=0, le=5)] = 0.3  # a sweep waits so long for answers of those asked for light
-    gain: Annotated[float, Meta(ge=0)] = 0.10  # of the information that borrowed light must bring, else the own lamp
-    follow: bool = False  # lamps are agreed on for who follows what swims, too; else each burns beside its own camera
-
-
-# @@ config
+# --- fleet file ---
 
 Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Positive = Annotated[float, Meta(gt=0)]
@@ -58,6 +25,12 @@ Colour = Literal["red", "orange", "yellow", "green"]
 Cues = Literal["both", "focus", "size"]
 Face = Literal["x0", "x1", "y0", "y1", "floor"]  # walls at x = 0 and the far end of x, likewise y
 WaterKind = Literal["air", "tap", "pool", "coastal", "turbid"]
+Coefficient = Annotated[float, Meta(gt=0, le=20)]
+Bands = tuple[Coefficient, Coefficient, Coefficient]  # blue, green, red
+
+
+class Struct(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """Base of all configuration: immutable, and an unknown key is an error."""
 
 
 class ConfigError(ValueError):
@@ -72,7 +45,7 @@ class Tank(Struct, frozen=True, kw_only=True):
 
 
 class Water(Struct, frozen=True, kw_only=True):
-    """The index is for everybody who bends rays; `kind`, how murky it is, for the twin alone."""
+    """All that refracts rays uses the index; only the twin uses `kind`, how murky the water is."""
 
     refractive_index: Annotated[float, Meta(ge=1.0, le=1.5)] = 1.333
     kind: WaterKind = "tap"
@@ -84,10 +57,10 @@ class Target(Struct, frozen=True, kw_only=True):
 
     detector: Literal["ball", "box", "creature"] = "ball"
     colour: Colour | None = None  # of a ball or a creature: red if not given
-    # of a creature: from nose to tail, about; what is seen of it bears as if all of it were there, give or take
+    # of a creature: from nose to tail, about; a part of it that is seen gives a bearing as the whole would, about
     length_m: Annotated[float, Meta(gt=0, le=2)] | None = None
     # of a ball
-    radius_m: Positive | None = None  # None: a thing in a box, whose size nobody knows
+    radius_m: Positive | None = None  # None: a thing in a box, of unknown size
     radius_sigma_m: Annotated[float, Meta(ge=0)] = 0.0001  # how well it is known: callipers, 0.2 mm on the diameter
     # of what swims by itself; both or neither
     speed_m_s: Annotated[float, Meta(gt=0, le=1)] | None = None
@@ -119,7 +92,7 @@ class Link(Struct, frozen=True, kw_only=True):
     send_hz: Annotated[float, Meta(gt=0, le=20)] = 10.0  # at most once a step of the agent
     loss: Share = 0.0  # fault injection: share of outgoing link messages thrown away
     loss_seed: int = 0
-    preview_hz: Annotated[float, Meta(ge=0, le=5)] = 2.0  # at most so many pictures for whoever looks; 0: none
+    preview_hz: Annotated[float, Meta(ge=0, le=5)] = 2.0  # previews for observers, at most; 0: none
 
 
 class Access(Struct, frozen=True, kw_only=True):
@@ -207,16 +180,16 @@ class Follow(Struct, frozen=True, kw_only=True, tag_field="kind", tag="follow"):
     """Keep a distance from a target that may move, on a side of its own, and face it."""
 
     target: Name
-    standoff_m: Annotated[float, Meta(gt=0.35)]  # nearer than that no robot comes to a target
-    search: bool = False  # look for it while nobody knows where it is; else stay
+    standoff_m: Annotated[float, Meta(gt=0.35)]  # no robot comes nearer to a target
+    search: bool = False  # look for it while no robot knows where it is; else stay
 
 
 class Search(Struct, frozen=True, kw_only=True, tag_field="kind", tag="search"):
-    """Look for a target that nobody knows: around where it was last, then along lanes; once it is known, stay."""
+    """Look for a target that no robot knows: around where it was last, then along lanes; once it is known, stay."""
 
     target: Name
     lane_m: Annotated[float, Meta(ge=0.2)] = 0.8  # from one lane to the next; where the water is murky less
-    speed_m_s: Positive = 0.06  # in a quarter of a minute, when the gaze has gone round, a lane's width
+    speed_m_s: Positive = 0.06  # the gaze goes round in a quarter of a minute, in which the robot swims a lane's width
 
 
 class Survey(Struct, frozen=True, kw_only=True, tag_field="kind", tag="survey"):
@@ -285,6 +258,35 @@ class Coverage(Struct, frozen=True, kw_only=True):
     faces: Annotated[tuple[Face, ...], Meta(min_length=1)] = ("floor", "x0", "x1", "y0", "y1")
 
 
+class WaterOptics(Struct, frozen=True, kw_only=True):
+    """Absorption and scattering; beam attenuation is the sum of both. An instrument measures them: pictures do not tell
+    one from the other."""
+
+    absorption_per_m: Bands
+    scattering_per_m: Bands
+
+
+class Beam(Struct, frozen=True, kw_only=True):
+    """The beam of a lamp; all lamps of the fleet are alike. Flat to 0.8 of the half angle, nothing beyond 1.2 of it."""
+
+    intensity_w_sr: Annotated[float, Meta(gt=0)] = 1.2  # on its axis, in each colour, at full power
+    half_deg: Annotated[float, Meta(ge=5, le=60)] = 25.0  # in water
+    beside_m: Annotated[float, Meta(ge=0.01, le=1)] = 0.12  # to the left of the optical centre, level with it
+
+
+class Lighting(Struct, frozen=True, kw_only=True):
+    """Robots that light for each other: water and lamps as measured, and how lamps are lent.
+
+    Without this table no lamp burns, and no decision takes light into account.
+    """
+
+    water: WaterOptics
+    beam: Beam = Beam()
+    guard_s: Annotated[float, Meta(gt=0, le=5)] = 0.3  # how long a sweep waits for robots that it asked for light
+    gain: Annotated[float, Meta(ge=0)] = 0.10  # of the information that borrowed light must bring, else the own lamp
+    follow: bool = False  # robots that follow what swims agree on lamps, too; else each lights for itself
+
+
 class Twin(Struct, frozen=True, kw_only=True):
     """Only the twin reads this: which scene, which world of that scene, where its sockets are."""
 
@@ -307,7 +309,7 @@ class Fleet(Struct, frozen=True, kw_only=True):
     robot: dict[Name, Robot]
     landmarks: Landmarks | None = None
     navigation: Navigation | None = None  # none: every robot is moored where `pose` says
-    coverage: Coverage | None = None  # none: no keyframes, nobody says what it has seen
+    coverage: Coverage | None = None  # none: no keyframes, robots do not say what they have seen
     lighting: Lighting | None = None  # none: no lamp burns
     twin: Twin = Twin()
 
@@ -317,8 +319,46 @@ class Fleet(Struct, frozen=True, kw_only=True):
         return bool(self.robot) and all(robot.listen.startswith("tls/") for robot in self.robot.values())
 
 
-# @@ toml_errors
-# What is wrong in a TOML file, in words: the key as the file spells it, and what may stand there instead.
+# --- TOML files ---
+
+T = TypeVar("T")
+
+
+def dump(struct: msgspec.Struct) -> str:
+    """The TOML text from which the same struct is read again."""
+
+    def drop_none(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {k: drop_none(v) for k, v in value.items() if v is not None}
+        return value
+
+    return tomli_w.dumps(drop_none(msgspec.to_builtins(struct)))
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file; every failure is a ConfigError."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file; give the path of an existing TOML file") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); give the path of a TOML file") from None
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not a text file; give the path of a TOML file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+
+
+def convert(data: dict[str, Any], kind: type[T], path: Path) -> T:
+    """Check parsed TOML against a struct; the message names file, key and remedy."""
+    try:
+        return msgspec.convert(data, kind)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"{path}: {explain(error, data, kind)}") from None
+
+
+# --- what is wrong in a TOML file ---
+# In words: the key as the file spells it, and what may stand there instead.
 
 ANY = "*"  # for msgspec's [...], which stands for the name of a table of which there may be several, such as robot.r1
 NAME_RULE = "a name is a small letter and up to 15 small letters, digits or _"
@@ -378,51 +418,10 @@ def _choices(path: list[str], kind: Any) -> list[str]:
     return [str(value) for one in either for value in getattr(one, "values", ())]
 
 
-# @@ toml_files
-# TOML files and frozen structs: text into one, one into text.
-
-T = TypeVar("T")
-
-
-def dump(struct: msgspec.Struct) -> str:
-    """The TOML text from which the same struct is read again."""
-
-    def drop_none(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {k: drop_none(v) for k, v in value.items() if v is not None}
-        return value
-
-    return tomli_w.dumps(drop_none(msgspec.to_builtins(struct)))
-
-
-def read_toml(path: Path) -> dict[str, Any]:
-    """Parse a TOML file; every failure is a ConfigError."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file; give the path of an existing TOML file") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); give the path of a TOML file") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"{path}: not a text file; give the path of a TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
-
-
-def convert(data: dict[str, Any], kind: type[T], path: Path) -> T:
-    """Check parsed TOML against a struct; the message names file, key and remedy."""
-    try:
-        return msgspec.convert(data, kind)
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"{path}: {explain(error, data, kind)}") from None
-
-
-# @@ fleet_digest
-# What all fleet files of a fleet have to share, in sixteen characters that travel with every message.
-#
-# Robots whose files differ here would add up what does not belong together, or wait for each other in vain. What a
-# robot has for itself is left out: its place, depth, look, devices, camera and body, where its files lie, how often
-# it speaks.
+# --- fleet digest ---
+# What all fleet files of a fleet have to share, in sixteen characters that travel with every message. Robots whose
+# files differ here would add up what does not belong together, or wait for each other in vain. What a robot has for
+# itself is left out: its place, depth, look, devices, camera and body, where its files lie, how often it speaks.
 
 
 def common(fleet: Fleet) -> str:
@@ -433,7 +432,7 @@ def common(fleet: Fleet) -> str:
     shared = {
         "fleet": fleet.fleet,
         "tank": msgspec.to_builtins(fleet.tank),
-        "refractive_index": fleet.water.refractive_index,  # how murky the water is, is the twin's business
+        "refractive_index": fleet.water.refractive_index,  # how murky the water is, only the twin uses
         "estimation": msgspec.to_builtins(fleet.estimation),
         "target": {name: _target(target) for name, target in fleet.target.items()},
         "robot": {name: sorted(set(robot.neighbours)) for name, robot in fleet.robot.items()},
@@ -442,7 +441,7 @@ def common(fleet: Fleet) -> str:
         shared["landmarks"] = _landmarks(fleet.landmarks)
     if fleet.coverage is not None:
         shared["coverage"] = msgspec.to_builtins(fleet.coverage)  # maps of other cells never come out equal
-    if fleet.lighting is not None:  # who has which lamp, and when it is lent
+    if fleet.lighting is not None:  # which robots have a lamp, and when it is lent
         shared["lighting"] = _lighting(fleet.lighting)
         shared["lamp"] = sorted(name for name, robot in fleet.robot.items() if robot.lamp)
     text = msgspec.json.encode(_plain(shared), order="sorted")
@@ -450,7 +449,7 @@ def common(fleet: Fleet) -> str:
 
 
 def _target(target: Target) -> dict[str, Any]:
-    """What it is. Pictures, the boxes in them and models are files, and each robot may have its own."""
+    """What the target is. Pictures, the boxes in them and models are files, and each robot may have its own."""
     swims = {} if target.speed_m_s is None else {"speed_m_s": target.speed_m_s, "turn_s": target.turn_s}
     if target.detector == "box":
         return {"detector": target.detector, **swims}
@@ -461,19 +460,19 @@ def _target(target: Target) -> dict[str, Any]:
 
 
 def _lighting(lighting: Lighting) -> dict[str, Any]:
-    """What is off by default says nothing, so that fleets from before it was there still agree."""
+    """A setting that is off by default is left out, so that fleet files without it still agree."""
     told: dict[str, Any] = msgspec.to_builtins(lighting)
     return told if lighting.follow else {name: value for name, value in told.items() if name != "follow"}
 
 
 def _landmarks(landmarks: Landmarks) -> dict[str, Any]:
-    """One map for all: places that two robots reckoned from different maps do not belong together."""
+    """One map for all: places that robots computed from different maps do not belong together."""
     tags = sorted(landmarks.tag, key=lambda tag: tag.id)
     return {**msgspec.to_builtins(landmarks), "tag": msgspec.to_builtins(tags)}
 
 
 def _plain(value: Any) -> Any:
-    """The same with every number as a float: who makes a fleet without a file may write 1 for 1.0."""
+    """The same with every number as a float: a Fleet that is made in Python may have 1 for 1.0."""
     if isinstance(value, dict):
         return {name: _plain(part) for name, part in value.items()}
     if isinstance(value, (list, tuple)):

@@ -1,4 +1,6 @@
-"""What is said to others, as frozen structs. What a step takes and gives is step_io.py's, the bytes are codec.py's.
+"""Messages to other robots, to observers and to consoles, as frozen structs.
+
+`step_io` has the inputs and outputs of a step, `codec` turns messages into bytes.
 
 Lengths are metres, angles degrees, times integer nanoseconds. `now_ns`, `sent_ns` and every `t_ns` count from
 the Unix epoch on the clock of the process that wrote them (sampled once at start, then monotonic).
@@ -37,7 +39,7 @@ SIGNED = "Ed25519 by the origin, 64 bytes, of what agent/core/trust.py makes of 
 
 
 def means(text: str) -> Meta:
-    """What a field is, for whoever reads the schema: unit, frame, when it is missing."""
+    """What a field is, for the reader of the schema: unit, frame, when it is missing."""
     return Meta(description=text)
 
 
@@ -50,7 +52,17 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
                 raise ValueError(f"{name} is not finite")
 
 
-# --- between robots -------------------------------------------------------------------------------------------
+def _finite(value: Any) -> bool:
+    if isinstance(value, float):
+        return math.isfinite(value)
+    if isinstance(value, (tuple, list)):
+        return all(map(_finite, value))
+    if isinstance(value, dict):
+        return all(map(_finite, value.values()))
+    return True
+
+
+# --- between robots ---
 
 
 class Epoch(msgspec.Struct, frozen=True, array_like=True, order=True):
@@ -91,7 +103,7 @@ class Sample(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Proposal(msgspec.Struct, frozen=True, array_like=True):
-    """One robot's word that a new epoch should begin; of two, as a rule, it begins (epoch_vote.py)."""
+    """One robot's word that a new epoch should begin; of two, as a rule, it begins (agent/core/trust.py)."""
 
     proposer: Annotated[Id, means("the robot that says so")]
     since_ns: Annotated[
@@ -149,7 +161,43 @@ class Estimate(Message, frozen=True, kw_only=True):
     ] = ""
 
 
-# --- to whoever looks -----------------------------------------------------------------------------------------
+class Presence(Message, frozen=True, kw_only=True):
+    """Where a robot that swims is and where it goes, to one neighbour, so that they keep clear of each other. One that
+    is lost says where it may be, by a wide `cov`; one that has not found itself yet says nothing."""
+
+    schema: Annotated[int, means(NUMBER)] = SCHEMA
+    fleet: Annotated[Id, means("name of the fleet")]
+    src: Annotated[Id, means("the robot that says it")]
+    dst: Annotated[Id, means("the neighbour that it is said to")]
+    incarnation: Annotated[Count, means("which start of the sender this is: Unix time of it, ns")]
+    seq: Annotated[Count, means("counts the rounds in which the sender says where it is")]
+    sent_ns: Annotated[Count, means(SENT)]
+    t_ns: Annotated[Count, means("of place and velocity: ns, by the clock of whoever said it")]
+    x_m: Annotated[float, means("m, world frame, of the body's centre")]
+    y_m: Annotated[float, means("m, world frame")]
+    yaw_rad: Annotated[float, means("rad, anticlockwise from x")]
+    depth_m: Annotated[float, means("m below the surface")]
+    cov: Annotated[
+        Symmetric,
+        means(
+            "covariance of x, y and yaw, m and rad, by its own sensors alone and with what is wrong in all of its "
+            "fixes alike: xx xy xp yy yp pp"
+        ),
+    ]
+    v_x_m_s: Annotated[float, means("m/s, world frame")]
+    v_y_m_s: Annotated[float, means("m/s, world frame")]
+    rate_rad_s: Annotated[float, means("rad/s, of yaw, anticlockwise")]
+    goal_x_m: Annotated[float, means("m, world frame: where it is told to be now")]
+    goal_y_m: Annotated[float, means("m, world frame")]
+    goal_yaw_rad: Annotated[float, means("rad: how it is told to look now")]
+    behaviour: Annotated[str, Meta(max_length=16), means("what it does now: the kind in the fleet file")]
+    target: Annotated[Id | UnsetType, means("what it follows or searches for; left out: neither")] = UNSET
+    glance_until_ns: Annotated[
+        Count, means("its camera is at landmarks until then, by its clock, and others look at the target; 0: it is not")
+    ] = 0
+
+
+# --- to observers ---
 
 
 class NeighbourState(Message, frozen=True, kw_only=True):
@@ -289,61 +337,9 @@ class Image(Message, frozen=True, kw_only=True):
     jpeg: Annotated[bytes, Meta(max_length=MAX_JPEG), means("the whole file, JPEG")]
 
 
-def _finite(value: Any) -> bool:
-    if isinstance(value, float):
-        return math.isfinite(value)
-    if isinstance(value, (tuple, list)):
-        return all(map(_finite, value))
-    if isinstance(value, dict):
-        return all(map(_finite, value.values()))
-    return True
-
-
-# @@ presence
-# What a robot that swims says of itself, so that its neighbours keep clear of it. Times as in messages.py.
-
-
-class Presence(Message, frozen=True, kw_only=True):
-    """Where a robot that swims is and where it goes, to one neighbour, so that they keep clear of each other. One that
-    is lost says where it may be, by a wide `cov`; one that has not found itself yet says nothing."""
-
-    schema: Annotated[int, means(NUMBER)] = SCHEMA
-    fleet: Annotated[Id, means("name of the fleet")]
-    src: Annotated[Id, means("the robot that says it")]
-    dst: Annotated[Id, means("the neighbour that it is said to")]
-    incarnation: Annotated[Count, means("which start of the sender this is: Unix time of it, ns")]
-    seq: Annotated[Count, means("counts the rounds in which the sender says where it is")]
-    sent_ns: Annotated[Count, means(SENT)]
-    t_ns: Annotated[Count, means("of place and velocity: ns, by the clock of whoever said it")]
-    x_m: Annotated[float, means("m, world frame, of the body's centre")]
-    y_m: Annotated[float, means("m, world frame")]
-    yaw_rad: Annotated[float, means("rad, anticlockwise from x")]
-    depth_m: Annotated[float, means("m below the surface")]
-    cov: Annotated[
-        Symmetric,
-        means(
-            "covariance of x, y and yaw, m and rad, by its own sensors alone and with what is wrong in all of its "
-            "fixes alike: xx xy xp yy yp pp"
-        ),
-    ]
-    v_x_m_s: Annotated[float, means("m/s, world frame")]
-    v_y_m_s: Annotated[float, means("m/s, world frame")]
-    rate_rad_s: Annotated[float, means("rad/s, of yaw, anticlockwise")]
-    goal_x_m: Annotated[float, means("m, world frame: where it is told to be now")]
-    goal_y_m: Annotated[float, means("m, world frame")]
-    goal_yaw_rad: Annotated[float, means("rad: how it is told to look now")]
-    behaviour: Annotated[str, Meta(max_length=16), means("what it does now: the kind in the fleet file")]
-    target: Annotated[Id | UnsetType, means("what it follows or searches for; left out: neither")] = UNSET
-    glance_until_ns: Annotated[
-        Count, means("its camera is at landmarks until then, by its clock, and others look at the target; 0: it is not")
-    ] = 0
-
-
-# @@ orders_words
-# What is said between a console and a robot: an order, and the robot's answer to it.
-#
-# An order is a query, so that whoever asks hears an answer or that there was none; who asks stands in its key, where
-# rules of access see it. Observers cannot see queries: the same answer is published as well.
+# --- operator commands ---
+# An order is a query, so that the console gets an answer or learns that there is none. The console's name stands in the
+# key, where access rules see it. Observers cannot see queries, so the answer is published as well.
 
 MAX_ORDER = 4096  # bytes; larger ones are turned away unread
 MAX_WORDS = 200  # characters of an order in words

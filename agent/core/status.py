@@ -1,4 +1,4 @@
-"""What the robot shows of itself: its public state, one message for each target, and its faults."""
+"""What the robot shows of itself: its public state, one message for each target, its faults, and its log."""
 
 from __future__ import annotations
 
@@ -16,71 +16,12 @@ from agent.core.step_io import Inputs, SweepOutcome
 from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetState
 
-# @@ logbook
-# What the robot writes to its log. A line that could come with every step or every message is thinned, and counted.
-
-AGAIN_NS = 1_000_000_000  # the same text at most once in this time
-SELDOM_NS = 5_000_000_000  # about one subject at most one line in this time, for texts that are never the same
-
-
-class Held(NamedTuple):
-    """A text that was written lately."""
-
-    level: Level
-    written_ns: int
-    more: int = 0  # how often it came again since, unwritten
-
-
-class Logbook(Revertible):
-    """The lines since they were last fetched, and which texts were written lately."""
-
-    def __init__(self, robot: str) -> None:
-        self._robot = robot
-        self._lines: list[LogLine] = []
-        self._lately: dict[str, Held] = {}
-        self._about_ns: dict[str, int] = {}  # subject -> when it last had a line
-
-    def note(self, level: Level, text: str, now_ns: int) -> None:
-        """Write a line, or count it when it was written within the last second."""
-        text = text[:MAX_TEXT]
-        held = self._lately.get(text)
-        if held is None:
-            self._write(level, text, text, now_ns)
-        else:
-            self._lately[text] = held._replace(more=held.more + 1)
-
-    def note_seldom(self, level: Level, about: str, text: str, now_ns: int) -> None:
-        """A line whose text is another one each time: at most one in five seconds for each subject."""
-        last_ns = self._about_ns.get(about)
-        if last_ns is None or now_ns - last_ns > SELDOM_NS:
-            self._about_ns[about] = now_ns
-            self.note(level, text, now_ns)
-
-    def fetch(self, now_ns: int) -> tuple[LogLine, ...]:
-        """The lines since the last call; to be called with every step. What was held back for a second comes now."""
-        for text, held in tuple(self._lately.items()):
-            if now_ns - held.written_ns < AGAIN_NS:
-                continue
-            del self._lately[text]
-            if held.more:
-                count = f" ({held.more} times more in {(now_ns - held.written_ns) * 1e-9:.1f} s)" * (held.more > 1)
-                self._write(held.level, text, text[: MAX_TEXT - len(count)] + count, now_ns)
-        lines, self._lines = tuple(self._lines), []
-        return lines
-
-    def _write(self, level: Level, text: str, shown: str, now_ns: int) -> None:
-        self._lately[text] = Held(level, now_ns)
-        self._lines.append(LogLine(robot=self._robot, sent_ns=now_ns, level=level, text=shown))
-
-
-# @@ status
-
 FAILSAFE = "failsafe level"
-NO_FRAMES_NS = 700_000_000  # nearly three frames of the slowest rate at which vision looks
+NO_FRAMES_NS = 700_000_000  # nearly three frames at the slowest rate of vision
 
 
 class Status(Revertible):
-    """Keeps what only observers need: nothing here is read back by the control of the robot."""
+    """What only observers need: the control of the robot reads nothing of it."""
 
     def __init__(self, fleet: str, robot: str, incarnation: int) -> None:
         self._fleet, self._robot, self._incarnation = fleet, robot, incarnation
@@ -94,8 +35,10 @@ class Status(Revertible):
         self._started_ns = now_ns
 
     def devices(self, inputs: Inputs, ours: tuple[str, ...], attitude: AttitudeLog, now_ns: int) -> None:
-        """Notice devices that fell silent, devices that came back, and what else is said to be wrong; ours: by the
-        kernel itself, beside what the host says."""
+        """Notice devices that fell silent, devices that came back, and other faults.
+
+        ours: faults that the kernel itself found, beside those that the host reports.
+        """
         for sighting in inputs.sightings:
             self._frame_ns = now_ns
             self._lens_position = sighting.focus if sighting.focus is not None else self._lens_position
@@ -104,14 +47,14 @@ class Status(Revertible):
             faults.append("no frames")
         if attitude.silent(now_ns, self._started_ns):
             faults.append("no telemetry")
-            faults += [fault for fault in self._faults if fault.startswith(FAILSAFE)]  # nobody knows that it is over
+            faults += [fault for fault in self._faults if fault.startswith(FAILSAFE)]  # it is not known to be over
         elif attitude.newest is not None and attitude.newest.ladder > 0:
             faults.append(f"{FAILSAFE} {attitude.newest.ladder}")
         told = () if inputs.faults is UNSET else inputs.faults
         self._show_faults((*faults, *(text[:MAX_TEXT] for text in (*told, *ours))), now_ns)
 
     def _show_faults(self, faults: tuple[str, ...], now_ns: int) -> None:
-        """Log what has changed since the last step. Of a fault whose words change, now and then the newest."""
+        """Log what has changed since the last step; of a fault whose words change, the newest now and then."""
         before, after = ({fault_kind(fault) for fault in all_of} for all_of in (self._faults, faults))
         for fault in faults:
             if fault_kind(fault) not in before:
@@ -205,5 +148,62 @@ def sigma_m(covariance_m2: Symmetric) -> float:
 
 
 def fault_kind(fault: str) -> str:
-    """Which of State.faults this is, whatever its words."""
+    """The kind of a fault in State.faults, without its details."""
     return fault.partition(":")[0]
+
+
+# --- log ---
+# A line that could come with every step or every message is thinned, and counted.
+
+AGAIN_NS = 1_000_000_000  # the same text at most once in this time
+SELDOM_NS = 5_000_000_000  # about one subject at most one line in this time, for texts that are never the same
+
+
+class Held(NamedTuple):
+    """A text that was written lately."""
+
+    level: Level
+    written_ns: int
+    more: int = 0  # how often it came again since, unwritten
+
+
+class Logbook(Revertible):
+    """The lines since they were last fetched, and which texts were written lately."""
+
+    def __init__(self, robot: str) -> None:
+        self._robot = robot
+        self._lines: list[LogLine] = []
+        self._lately: dict[str, Held] = {}
+        self._about_ns: dict[str, int] = {}  # subject -> when it last had a line
+
+    def note(self, level: Level, text: str, now_ns: int) -> None:
+        """Write a line, or count it when it was written within the last second."""
+        text = text[:MAX_TEXT]
+        held = self._lately.get(text)
+        if held is None:
+            self._write(level, text, text, now_ns)
+        else:
+            self._lately[text] = held._replace(more=held.more + 1)
+
+    def note_seldom(self, level: Level, about: str, text: str, now_ns: int) -> None:
+        """A line whose text differs each time: at most one in five seconds for each subject."""
+        last_ns = self._about_ns.get(about)
+        if last_ns is None or now_ns - last_ns > SELDOM_NS:
+            self._about_ns[about] = now_ns
+            self.note(level, text, now_ns)
+
+    def fetch(self, now_ns: int) -> tuple[LogLine, ...]:
+        """The lines since the last call; to be called with every step. It ends with what was held back for a second."""
+        for text, held in tuple(self._lately.items()):
+            if now_ns - held.written_ns < AGAIN_NS:
+                continue
+            del self._lately[text]
+            if held.more:
+                count = f" ({held.more} times more in {(now_ns - held.written_ns) * 1e-9:.1f} s)" * (held.more > 1)
+                self._write(held.level, text, text[: MAX_TEXT - len(count)] + count, now_ns)
+        lines, self._lines = tuple(self._lines), []
+        return lines
+
+    def _write(self, level: Level, text: str, shown: str, now_ns: int) -> None:
+        self._lately[text] = Held(level, now_ns)
+        self._lines.append(LogLine(robot=self._robot, sent_ns=now_ns, level=level, text=shown))

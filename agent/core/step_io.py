@@ -1,4 +1,4 @@
-"""What Agent.step takes and gives, as frozen structs: all that a black box has to hold.
+"""Inputs and outputs of Agent.step, as frozen structs: all that a recording has to hold.
 
 Units, times and frames as in messages.py.
 """
@@ -15,7 +15,7 @@ from agent.core.messages import Answer, Count, Estimate, Id, LogLine, Message, P
 
 Slope = tuple[float, float]
 
-# --- inputs: from the robot's own devices, and from others ----------------------------------------------------
+# --- inputs: from the robot's own devices, and from others ---
 
 
 class Sighting(Message, frozen=True, kw_only=True):
@@ -108,11 +108,11 @@ class Heard(Message, frozen=True, kw_only=True):
 
 
 class DroppedPayloads(Message, frozen=True, kw_only=True):
-    """Payloads that transport turned away unread."""
+    """Payloads that the transport turned away unread."""
 
     reason: str
     count: int
-    src: Id | UnsetType = UNSET  # the neighbour on whose keys they came; unset: on a stranger's
+    src: Id | UnsetType = UNSET  # the neighbour on whose keys they came; unset: on keys of no neighbour
 
 
 class Ordered(Message, frozen=True, kw_only=True):
@@ -124,7 +124,7 @@ class Ordered(Message, frozen=True, kw_only=True):
 
 
 class Inputs(Message, frozen=True, kw_only=True):
-    """All that arrived since the last step: devices in order of arrival, neighbours in turn."""
+    """All that arrived since the last step: of devices in order of arrival, of neighbours in turn."""
 
     telemetry: tuple[Telemetry, ...] = ()
     sightings: tuple[Sighting, ...] = ()
@@ -135,10 +135,10 @@ class Inputs(Message, frozen=True, kw_only=True):
     blocks: tuple[BlockPeaks, ...] | UnsetType = UNSET  # of sweeps over whole frames that ended; unset: none did
     faults: tuple[str, ...] | UnsetType = UNSET  # what the host knows to be wrong beside all this; unset: nothing
     keys: dict[Id, bytes] | UnsetType = UNSET  # public keys of the robots, when they were read or changed
-    orders: tuple[Ordered, ...] | UnsetType = UNSET  # in order of arrival; unset: nobody ordered anything
+    orders: tuple[Ordered, ...] | UnsetType = UNSET  # in order of arrival; unset: none came
 
 
-# --- outputs: to the robot's own devices, and to others ---------------------------------------------------------
+# --- outputs: to the robot's own devices, and to others ---
 
 
 class SweepPlan(Message, frozen=True, kw_only=True, omit_defaults=True):
@@ -151,7 +151,7 @@ class SweepPlan(Message, frozen=True, kw_only=True, omit_defaults=True):
 
 
 class SetPoint(Message, frozen=True, kw_only=True):
-    """What the control module shall hold; repeated, it is the module's heartbeat."""
+    """What the control module shall hold. Repeated, it is also the heartbeat that the module waits for."""
 
     depth_m: float
     roll_deg: float = 0.0
@@ -163,7 +163,7 @@ class SetPoint(Message, frozen=True, kw_only=True):
 
 
 class TargetBox(Message, frozen=True, kw_only=True):
-    """Where somebody has drawn a box around a target, for vision to go by: pixels of the whole frame."""
+    """A box that an operator drew around a target, for vision to go by: pixels of the whole frame."""
 
     target: Id
     frame: Count  # number of the frame that it was drawn in
@@ -186,11 +186,13 @@ class SweepOutcome(Message, frozen=True, kw_only=True):
     quality: float | None = None  # correlation of curve and model, 0 to 1
     x_m: Vector | None = None  # where that puts the target: the prior
     rejected: str = ""  # why there is no prior
-    lamps: tuple[Id, ...] | UnsetType = UNSET  # that it took to burn meanwhile; unset: no light was asked for
+    lamps: tuple[Id, ...] | UnsetType = UNSET  # lamps that it took to burn meanwhile; unset: no light was asked for
     lit: tuple[Id, ...] | UnsetType = UNSET  # and that burned, as their robots said
 
 
 class Outputs(Message, frozen=True, kw_only=True):
+    """All that one step decided."""
+
     set_point: SetPoint
     sweep: SweepPlan | None = None
     says: tuple[Estimate, ...] = ()
@@ -203,6 +205,6 @@ class Outputs(Message, frozen=True, kw_only=True):
     lens: int | UnsetType | None = UNSET  # position between sweeps from now on; none: for landmarks; unset: as before
     outcome: SweepOutcome | UnsetType = UNSET  # left out but where a sweep ended: steps without one stay as they were
     answers: tuple[Answer, ...] | UnsetType = UNSET  # to `Inputs.orders`, one by one; unset: there were none
-    motors: Motors | UnsetType = UNSET  # as somebody ordered in this step; unset: as before
-    box: TargetBox | UnsetType = UNSET  # around a target, as somebody drew it; unset: as before
-    preview_hz: float | UnsetType = UNSET  # pictures for whoever looks, from now on; unset: as before
+    motors: Motors | UnsetType = UNSET  # as ordered in this step; unset: as before
+    box: TargetBox | UnsetType = UNSET  # around a target, as an operator drew it; unset: as before
+    preview_hz: float | UnsetType = UNSET  # rate of previews for observers, from now on; unset: as before

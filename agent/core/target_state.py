@@ -1,8 +1,8 @@
-"""One target as one robot knows it: the post about it, its estimator, and what was measured of it.
+"""One target as one robot knows it: messages about it, its estimator, and what was measured of it.
 
 A robot has such a state for each target of the fleet file, and nothing passes from one to another. Each has an
-iteration index of its own, which counts while the camera's turn is at this target (control/target_scheduler.py): to
-every protocol it looks as if there were no other.
+iteration index of its own, which counts while the camera's turn is at this target (`TargetScheduler`): to every
+protocol it looks as if there were no other.
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from agent.core.estimation.evidence_table import R_FLOOR_M, inside, widest_m2
 from agent.core.estimation.interface import NOTHING, Bearing, Estimator, Mailbox, Posterior, Prior, Update
 from agent.core.estimation.protocols import dynamics, estimator
 from agent.core.estimation.track import Dynamics, growth, outer
-from agent.core.linear_algebra import IDENTITY, apply, invert, minus, plus, times, trace
+from agent.core.linear_algebra import IDENTITY, apply, inner, invert, minus, plus, times, trace
 from agent.core.messages import Estimate, State, Symmetric, Vector
 from agent.core.step_transaction import Revertible
 
 Knows = Literal["blind", "told", "sees"]
 OLD_NS = 1_000_000_000
-HELD = 2  # iterations in a row: where the camera is slow, every other sweep comes too late, and that is no news
+HELD = 2  # iterations in a row: where the camera is slow, every other sweep comes too late, which is no change
 
 
 class TargetEstimate(NamedTuple):
@@ -59,10 +59,10 @@ class TargetState(Revertible):
         self.update: Update | None = None
         self.acquired_t: int | None = None  # iteration of the first own view
         self.knows: Knows = "blind"
-        self.since_t = 0  # iteration from which on it is so
-        self._held = HELD  # iterations for which it was so, at least
-        self._news: Knows = "blind"  # what was told of it last
-        self._seen_ns: int | None = None  # when anybody was last known to measure it
+        self.since_t = 0  # iteration since which `knows` has this value
+        self._held = HELD  # iterations for which it has had it
+        self._news: Knows = "blind"  # what was last reported of `knows`
+        self._seen_ns: int | None = None  # when a robot was last known to measure it
         self.last_state: State | None = None
 
     def measure(self, prior: Prior) -> None:
@@ -81,7 +81,7 @@ class TargetState(Revertible):
         self.estimator.adopt(self.mailbox.swarm_t(now_ns, self._validity_ns))
 
     def estimate(self, now_ns: int) -> TargetEstimate | None:
-        """The posterior, for who swims by it; asked in each step, or it does not notice who sees the target."""
+        """The posterior, to swim by. To be asked in each step: it takes note of the robots that see the target."""
         if self.estimator.valid or self.mailbox.usable(now_ns, self._validity_ns):
             self._seen_ns = now_ns
         believed = self.estimator.posterior
@@ -92,8 +92,8 @@ class TargetState(Revertible):
         return TargetEstimate(believed.x_m, believed.v_m_s, cov_m2, self._seen_ns)
 
     def iterate(self, now_ns: int) -> bool:
-        """One iteration of the protocol; returns whether it is news what the robot is now, of blind, told and sees: it
-        has been so for HELD iterations, and the last news was another one."""
+        """One iteration of the protocol. Returns whether `knows` is news: it has had its value for HELD iterations, and
+        the last news was another one."""
         if self.prior is None and self.bearing is not None and isinstance(self.estimator, Evidence):
             self.update = self.estimator.tick(self.bearing, self.mailbox, now_ns)
         else:
@@ -115,9 +115,9 @@ class TargetState(Revertible):
         return True
 
     def say(self, neighbour: str, seq: int, now_ns: int) -> Estimate:
-        """What the protocol has for a neighbour; without news it is still the heartbeat."""
+        """The message to a neighbour; without news it is still the heartbeat."""
         word = self.estimator.say(neighbour, now_ns)
-        if word.x_m is None or not inside(word.x_m, self._tank_m):  # nobody would believe it
+        if word.x_m is None or not inside(word.x_m, self._tank_m):  # no robot would believe it
             word = word._replace(x_m=None, cov_m2=None)
         return Estimate(
             fleet=self._fleet,
@@ -135,7 +135,7 @@ class TargetState(Revertible):
 
 
 def grown(believed: Posterior, moves: Dynamics, now_ns: int) -> Symmetric:
-    """How well it is known where it is now, by what is believed of an earlier moment: nothing of its course."""
+    """Covariance of its place now, by the belief of an earlier moment; nothing is assumed of its course."""
     if not believed.t_ns or moves.turn_s == math.inf:
         return believed.cov_m2
     by = growth(moves, max(now_ns - believed.t_ns, 0) * 1e-9)
@@ -144,26 +144,27 @@ def grown(believed: Posterior, moves: Dynamics, now_ns: int) -> Symmetric:
 
 
 def sayable(covariance_m2: Symmetric | None, tank_m: Vector) -> Symmetric | None:
-    """A covariance as it can be told: nobody is less sure than that the target is in the tank."""
+    """A covariance as it can be sent: never wider than that the target is in the tank."""
     if covariance_m2 is None:
         return None
     excess = trace(covariance_m2) / widest_m2(tank_m)
     return covariance_m2 if excess <= 1.0 else times(1.0 / excess, covariance_m2)
 
 
-# @@ bearing
-# A frame that shows the target gives a bearing: across the ray it is placed as well as the box, along it not at all.
+# --- bearing ---
+# A frame that shows the target gives a bearing: it places the target across the ray as well as the box, along it not at
+# all.
 #
 # E: two unit vectors across the ray; V = sigma^2 u^2 I + E' P E, with u the range that is believed, which sets the
-# weight alone, and P what the robot's own pose adds. Then Lam = E V^-1 E' is of rank 2, and Lam (o + s n) the same
-# for any s.
+# weight alone, and P what the robot's own pose adds. Then Lam = E V^-1 E' is of rank 2, and Lam (o + s n) the same for
+# any s.
 #
 # The ray's own direction n errs by sigma from frame to frame, and lines that all go through one camera then seem to
 # meet there: along the true direction n0, n0' Lam n0 is 2/u^2 on average, out of nothing, and N frames from one place
-# would know the range to u / sqrt(2 N). So E is taken across the direction in which the target is believed to be, as
-# an extended Kalman filter linearizes about its prediction; the ray's own counts where nothing is believed.
+# would know the range to u / sqrt(2 N). So E is taken across the direction in which the target is believed to be, as an
+# extended Kalman filter linearizes about its prediction; the ray's own counts where nothing is believed.
 
-NEAR = math.cos(0.2)  # of ray and belief; with more between them a wrong range would misplace the ray
+NEAR = math.cos(0.2)  # cosine of the angle of ray and belief; beyond it a wrong range would misplace the ray
 
 
 def bearing(
@@ -180,8 +181,8 @@ def bearing(
 
     pose_m2: covariance of the place at that range by errors of the robot's own pose, with what their memory makes of
     them. range_sigma_m: of a range by size or focus; None: there is none. believed: direction from there in which the
-    target is believed to be, for want of a range; None, or one far off: no matter. Raises ValueError without a
-    direction or a range.
+    target is believed to be, for want of a range. None, or one far off the ray: the ray's own direction counts. Raises
+    ValueError without a direction or a range.
     """
     if not (any(direction) and range_m > 0.0):
         raise ValueError(f"a bearing needs a direction and a range, not {direction} and {range_m} m")
@@ -192,11 +193,11 @@ def bearing(
         along = outer(n)
         placed_m2 = plus(times(own, minus(IDENTITY, along)), times(max(range_sigma_m, R_FLOOR_M) ** 2, along))
         return Bearing(x_m, invert(plus(placed_m2, pose_m2)), t_ns)
-    if believed is not None and any(believed) and _dot(n, towards := unit(believed)) > NEAR:
+    if believed is not None and any(believed) and inner(n, towards := unit(believed)) > NEAR:
         n = towards
     e, f = _across(n)
     pe, pf = apply(pose_m2, e), apply(pose_m2, f)
-    a, b, d = own + _dot(e, pe), _dot(e, pf), own + _dot(f, pf)
+    a, b, d = own + inner(e, pe), inner(e, pf), own + inner(f, pf)
     det = a * d - b * b
     information = plus(plus(times(d / det, outer(e)), times(a / det, outer(f))), times(-b / det, _both(e, f)))
     return Bearing(x_m, information, t_ns)
@@ -210,17 +211,17 @@ def ranged(
     range_sigma_m: float,
     believed: Vector | None = None,
 ) -> Bearing:
-    """The same line from origin_m, a bearing without a range, with what is known of its range: too little to place the
-    target across by it, too much to be thrown away.
+    """`line`, a bearing from origin_m without a range, with what is known of its range: too little to place the target
+    across the ray by it, enough to be used along it.
 
     It counts along the axis that the line says nothing about, so that many such lines from one place know no more of
     the range than is put in here. direction, believed: as for the bearing.
     """
     n = unit(direction)
-    if believed is not None and any(believed) and _dot(n, towards := unit(believed)) > NEAR:
+    if believed is not None and any(believed) and inner(n, towards := unit(believed)) > NEAR:
         n = towards
     x, y, z = line.x_m
-    along_m = _dot((x - origin_m[0], y - origin_m[1], z - origin_m[2]), n)
+    along_m = inner((x - origin_m[0], y - origin_m[1], z - origin_m[2]), n)
     by_m = range_m - along_m
     information = plus(line.information, times(1.0 / max(range_sigma_m, R_FLOOR_M) ** 2, outer(n)))
     return Bearing((x + by_m * n[0], y + by_m * n[1], z + by_m * n[2]), information, line.t_ns)
@@ -228,7 +229,7 @@ def ranged(
 
 def unit(v: Vector) -> Vector:
     """Of length 1; v is not 0."""
-    length = math.sqrt(_dot(v, v))
+    length = math.sqrt(inner(v, v))
     return v[0] / length, v[1] / length, v[2] / length
 
 
@@ -254,7 +255,3 @@ def _both(e: Vector, f: Vector) -> Symmetric:
         e[1] * f[2] + e[2] * f[1],
         2.0 * e[2] * f[2],
     )
-
-
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]

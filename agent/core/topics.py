@@ -1,4 +1,4 @@
-"""THE table of what is on the network: key, message, rate, QoS. Nothing else in the tree spells a key."""
+"""The table of what is on the network: key, message, rate, QoS. No other file spells a key."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ class Topic(NamedTuple):
 LINK = Topic(
     "link", "aucamp/{fleet}/link/{src}/{dst}[/{target}]", Estimate, 10.0, QoS("INTERACTIVE_HIGH", "RELIABLE", 2), "src"
 )
-# Of robots that swim: where each is. The newest stands for those before it.
+# Of robots that swim: where each is. The newest replaces those before it.
 NEAR = Topic(
     "near", "aucamp/{fleet}/near/{src}/{dst}", Presence, 10.0, QoS("INTERACTIVE_HIGH", "RELIABLE", 2), "src", limit=1024
 )
-# Of a survey. Where somebody looks next stands until he says another; what he holds is all of it in each word.
+# Of a survey. Where a robot looks next stands until it says another; each message lists all that it holds.
 CLAIM = Topic(
     "claim", "aucamp/{fleet}/claim/{src}/{dst}", Claim, 2.0, QoS("DATA", "RELIABLE", 2), "src", limit=8 * 1024
 )
-# What was seen goes to a neighbour once, and again where its claims show that it came to nothing.
+# A keyframe goes to a neighbour once, and again where the claims of the neighbour show that it was lost.
 KEYFRAME = Topic(
     "keyframe", "aucamp/{fleet}/keyframe/{src}/{dst}", Keyframe, 0.0, QoS("DATA", "RELIABLE", 2), "src", limit=2048
 )
-# Of a fleet with [lighting]: whose lamps burn. The newest stands for those before it. Twice as often about a sweep.
+# Of a fleet with [lighting]: whose lamps burn. The newest replaces those before it. Twice as often about a sweep.
 LIGHT = Topic(
     "light", "aucamp/{fleet}/light/{src}/{dst}", Light, 10.0, QoS("INTERACTIVE_HIGH", "RELIABLE", 2), "src", limit=1024
 )
@@ -51,8 +51,8 @@ STATE = Topic(
     "state", "aucamp/{fleet}/robot/{robot}/state[/{target}]", State, 5.0, QoS("DATA", "RELIABLE", 64), "robot"
 )
 LOG = Topic("log", "aucamp/{fleet}/robot/{robot}/log", LogLine, 0.0, QoS("DATA", "RELIABLE", 256), "robot")
-# Behind all else in a queue of its own: on a thin cable previews wait, and are lost, before a state is. No rate is
-# promised: `[link] preview_hz` at most, from whole frames alone.
+# Behind all else in a queue of its own: on a thin cable previews wait, and are lost, before a state is. The rate is
+# `[link] preview_hz` at most, from whole frames alone.
 IMAGE = Topic(
     "image",
     "aucamp/{fleet}/robot/{robot}/image",
@@ -62,7 +62,7 @@ IMAGE = Topic(
     "robot",
     limit=MAX_JPEG + 1024,
 )
-# What became of an order, for all but the one who gave it: he has the same as the reply to his query.
+# What became of an order, for all but the console that gave it: that one has the same as the reply to its query.
 ANSWER = Topic(
     "answer",
     "aucamp/{fleet}/robot/{robot}/answer/{console}",
@@ -78,7 +78,8 @@ TOPICS = (LINK, NEAR, CLAIM, KEYFRAME, LIGHT, STATE, LOG, IMAGE, ANSWER)
 # An order is a query, answered by each robot on this key with its own name; '*' as the robot is all of them.
 ORDER = "aucamp/{fleet}/robot/{robot}/order/{console}"
 
-# Liveliness tokens: who is listed, never whose word counts. Two agents of one name differ in their sessions.
+# Liveliness tokens: they list robots, and never decide whose word counts. Two agents of one name differ in their
+# sessions.
 ALIVE = "aucamp/{fleet}/alive/{robot}/{session}"
 TWICE = "aucamp/{fleet}/twice/{robot}/{witness}"  # the witness is linked to two of this name
 ANYBODY = {"src": "*", "dst": "*", "robot": "*", "target": "**", "console": "*", "session": "*"}  # as chunks of a key
@@ -93,7 +94,7 @@ def key(topic: Topic, **chunks: str) -> str:
 
 
 def match(key_text: str) -> tuple[Topic, dict[str, str]] | None:
-    """Which row a key belongs to and the values of its chunks; None for a key of nobody."""
+    """Which row a key belongs to and the values of its chunks; None for any other key."""
     parts = key_text.split("/")
     for topic in TOPICS:
         required, _, optional = topic.key.rstrip("]").partition("[")
@@ -122,7 +123,7 @@ def _match(pattern: list[str], parts: list[str]) -> dict[str, str] | None:
 
 
 def target_chunk(targets: Collection[str], target: str) -> dict[str, str]:
-    """The chunk that tells the targets of a fleet apart, for `key`; none where there is one target."""
+    """The chunk of a key that names the target, for `key`; empty in a fleet of one target."""
     return {"target": target} if len(targets) > 1 else {}
 
 

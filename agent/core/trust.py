@@ -1,11 +1,11 @@
-"""Whose word counts about whom.
+"""Which messages count, and as whose: message-source authorisation, epochs, and the clocks of other robots.
 
-With keys: a robot's evidence counts from any mouth as long as its signature is right. Verifying costs a tenth of a
-millisecond, so each neighbour has a budget of it; a wrong signature empties the budget of who passed it on, for honest
-robots verify before they do.
+With keys: the evidence of a robot counts from any sender as long as its signature is right. Verifying costs a tenth of
+a millisecond, so each neighbour has a budget of it; a wrong signature empties the budget of the robot that passed it
+on, for honest robots verify before they pass on.
 
-Without keys: while a robot is heard directly, only its own mouth counts about it. About robots that are out of reach a
-relay is believed: nothing is known against it.
+Without keys: while a robot is heard directly, only its own messages count about it. About robots that are out of reach
+a relay is believed: nothing is known against it.
 """
 
 from __future__ import annotations
@@ -21,11 +21,11 @@ from agent.core.codec import Refusal
 from agent.core.messages import Entry, Epoch, Proposal, Sample
 from agent.core.step_transaction import Revertible
 
-# @@ signed
-# What an origin signs, and whether a signature is its own. Ed25519 (RFC 8032): verifying has no clock and no chance.
+# --- signatures ---
+# What an origin signs, and whether a signature is its own. Ed25519 (RFC 8032): verifying needs no clock and no chance.
 #
-# A relay may carry an entry or a sample anywhere; it cannot change one, nor make one up. Signed is all that gives the
-# evidence its meaning: fleet, target and epoch too, so that nothing old or foreign can be shown again elsewhere.
+# A relay may carry an entry or a sample anywhere; it cannot change one, nor make one up. All that gives the evidence
+# its meaning is signed: fleet, target and epoch too, so that nothing old or foreign can be shown again elsewhere.
 
 KEY_BYTES = 32  # of a public key
 SIGNATURE_BYTES = 64
@@ -54,7 +54,7 @@ def proposal_bytes(fleet: str, target: str, proposal: Proposal) -> bytes:
 
 
 def _floats(numbers: Iterable[float]) -> list[float]:
-    """Numbers as they come out of a message: a 0 that somebody wrote as an integer has arrived as 0.0."""
+    """Numbers as they come out of a message: a 0 that was written as an integer has arrived as 0.0."""
     return list(map(float, numbers))
 
 
@@ -69,19 +69,19 @@ def verify_signature(public: bytes, signature: bytes, signed: bytes) -> bool:
     return True
 
 
-# @@ authority
+# --- message-source authorisation ---
 
 DIRECT_NS = 3_000_000_000  # a robot heard directly this lately speaks for itself
 VERIFIED_HZ = 20.0  # signatures of each neighbour, at most; a swarm of ten needs ten a second of all together
 BURST = 20.0
 
 Verify = Callable[[bytes, bytes, bytes], bool]  # public key, signature, what was signed
-OVERDRAWN = "not yet verified"  # comes again: what is not shown to be held is sent again
-HEARSAY = "hearsay"  # no fault of the relay: it cannot know whom we hear ourselves
+OVERDRAWN = "not yet verified"  # it comes again: a neighbour sends again what we do not show that we hold
+HEARSAY = "hearsay"  # no fault of the relay: it cannot know which robots we hear ourselves
 
 
 class Authority(Revertible):
-    """One robot's judgement of mouths, for one target."""
+    """One robot's judgement of message sources, for one target."""
 
     def __init__(self, neighbours: tuple[str, ...], verify: Verify = verify_signature) -> None:
         self._verify = verify
@@ -90,7 +90,7 @@ class Authority(Revertible):
         self._budget: dict[str, tuple[float, int]] = {name: (BURST, 0) for name in neighbours}  # at a time
 
     def heard(self, src: str, now_ns: int) -> None:
-        """A message of this neighbour's came."""
+        """A message of this neighbour came."""
         self._heard_ns[src] = now_ns
         budget, at_ns = self._budget[src]
         self._budget[src] = min(BURST, budget + VERIFIED_HZ * max(0, now_ns - at_ns) * 1e-9), now_ns
@@ -101,7 +101,7 @@ class Authority(Revertible):
         return heard_ns is not None and now_ns - heard_ns <= DIRECT_NS
 
     def fault(self, src: str, origin: str, signature: bytes, says: Callable[[], bytes], now_ns: int) -> str | None:
-        """Why what `src` passes on as the word of `origin` does not count, in a word to count by; None: it counts.
+        """Why what `src` passes on as the word of `origin` does not count, as a kind to count by; None: it counts.
 
         says: what the origin signed, made only if it is looked at.
         """
@@ -122,17 +122,17 @@ class Authority(Revertible):
         return "bad signature"
 
 
-# @@ epoch_vote
-# A new epoch needs two robots: one that was knocked, or lies, must not empty everybody's table.
+# --- vote on epochs ---
+# A new epoch needs two robots: one that was knocked, or lies, must not empty the tables of all.
 #
 # A robot whose own samples say that the target started or stopped moving proposes the next epoch. It begins when two
 # have proposed it, or where two neighbours are in it already: one of two is honest. Where fewer than three robots see
-# the target nobody could second, and one proposal is enough, but not more often than every ten seconds. A robot that
+# the target no robot could second, and one proposal is enough, but not more often than every ten seconds. A robot that
 # has just started joins the epoch of those that it hears, as soon as it has had the time to hear them all.
 #
 # Epochs at rest have even counters, those in motion odd ones; every robot names the same epoch by the same counter.
 
-ALARM_NS = 20_000_000_000  # a proposal that nobody seconds for so long was a knock
+ALARM_NS = 20_000_000_000  # a proposal that no robot seconds for so long was a knock
 WITNESSES = 2  # one more than may lie
 LEAST_NS = 10_000_000_000  # an epoch lasts so long before a single proposal ends it
 BESIDE_NS = 3_000_000_000  # how long a neighbour counts as being in the epoch that it spoke of; all speak within it
@@ -146,7 +146,7 @@ def epoch_of(counter: int) -> Epoch:
 
 
 class EpochVote(Revertible):
-    """Who proposes which epoch, as one robot knows it."""
+    """Which robot proposes which epoch, as one robot knows it."""
 
     def __init__(self, me: str) -> None:
         self._me = me
@@ -154,10 +154,10 @@ class EpochVote(Revertible):
         self._proposals: dict[str, tuple[Proposal, int]] = {}  # of each robot its newest, and when we first heard it
         self._witnesses: tuple[Proposal, ...] = ()  # for the epoch that we are in
         self._beside: dict[str, tuple[int, int]] = {}  # neighbour -> counter of its epoch, and when it said so
-        self._began_ns: int | None = None  # the epoch that we are in; none: we just started, and met nobody in it
+        self._began_ns: int | None = None  # the epoch that we are in; none: we just started, and met no robot in it
 
     def is_news(self, proposal: Proposal, epoch: Epoch) -> bool:
-        """Whether it could matter and was not heard before."""
+        """Whether a proposal could matter and was not heard before."""
         if proposal.moving != epoch_of(proposal.counter).moving or not epoch.counter < proposal.counter <= LAST:
             return False
         old = self._proposals.get(proposal.proposer)
@@ -177,7 +177,7 @@ class EpochVote(Revertible):
             self._proposals[self._me] = (Proposal(self._me, now_ns, epoch.counter + 1, not epoch.moving), now_ns)
 
     def unseconded(self, epoch: Epoch, now_ns: int) -> bool:
-        """Whether a proposal of ours found nobody; it is taken back with this answer."""
+        """Whether no robot seconded a proposal of ours; the proposal is taken back with this answer."""
         mine = self._mine(epoch.counter + 1)
         if mine is None or now_ns - mine[1] <= ALARM_NS:
             return False
@@ -185,7 +185,7 @@ class EpochVote(Revertible):
         return True
 
     def next(self, epoch: Epoch, seeing: int, now_ns: int) -> Epoch | None:
-        """The epoch to begin now; None: the one that we are in goes on. seeing: robots known to see the target."""
+        """The epoch to begin now; None: the present one goes on. seeing: robots known to see the target."""
         self._woke_ns = now_ns if self._woke_ns is None else self._woke_ns
         fresh = [p for p, heard_ns in self._proposals.values() if now_ns - heard_ns <= ALARM_NS]
         beside = [counter for counter, at_ns in self._beside.values() if now_ns - at_ns <= BESIDE_NS]
@@ -212,7 +212,7 @@ class EpochVote(Revertible):
         self._began_ns = now_ns
 
     def shown(self, now_ns: int) -> tuple[Proposal, ...]:
-        """What to tell a neighbour: who witnessed our epoch, and fresh proposals for another."""
+        """What to tell a neighbour: the proposals that began our epoch, and fresh ones for another."""
         fresh = (p for _, (p, heard_ns) in sorted(self._proposals.items()) if now_ns - heard_ns <= ALARM_NS)
         return (*self._witnesses, *fresh)
 
@@ -221,28 +221,28 @@ class EpochVote(Revertible):
         return held if held is not None and held[0].counter == counter else None
 
     def _may_end_alone(self, epoch: Epoch, counter: int, now_ns: int) -> bool:
-        """One robot's word leads on by an epoch in ten seconds."""
+        """Whether one proposal is enough now: the proposals of a single robot lead on by one epoch in ten seconds."""
         if self._began_ns is None:
             return counter == epoch.counter + 1
         elapsed_ns = now_ns - self._began_ns
         return elapsed_ns >= LEAST_NS and counter <= epoch.counter + 1 + elapsed_ns // LEAST_NS
 
 
-# @@ transit
+# --- time in transit ---
 # How long messages of one neighbour are on their way, beyond the quickest of them: clocks that differ cancel.
 
-CLOCKS_NS = 3 * 3600 * 10**9  # by which the clocks of two robots may differ: nobody sets them to a common time
+CLOCKS_NS = 3 * 3600 * 10**9  # by which the clocks of two robots may differ: nothing sets them to a common time
 WINDOW_NS = 60_000_000_000  # over which the quickest message is remembered
 BIN_NS = 1_000_000_000  # resolution of that memory: 60 numbers a neighbour
 STEP_NS = 200_000_000  # a message that was quicker by more than this tells of another clock, or lies
-LOST_NS = 60_000_000_000  # and one that was slower by more than this: links give up long before
+LOST_NS = 60_000_000_000  # so does one that was slower by more than this: links give up long before
 INSISTS = 3  # such messages in a row, after which it is another clock
-STEADY_NS = 50_000_000  # queues do not hold all messages up alike: who is late by the same for so long ...
-STEADY_FOR_NS = 3_000_000_000  # ... had told a wrong time before
+STEADY_NS = 50_000_000  # queues do not hold all messages up alike: where all are late by the same, to within this, ...
+STEADY_FOR_NS = 3_000_000_000  # ... for so long, the clock of the sender was wrong before
 
 
 class Late(NamedTuple):
-    """Messages in a row that were late."""
+    """Messages in a row that were late, since the first of them."""
 
     since_ns: int
     least_ns: int  # transit
@@ -250,7 +250,7 @@ class Late(NamedTuple):
 
 
 class Transit(Revertible):
-    """Memory of one neighbour since its start."""
+    """The quickest messages of one neighbour since its start."""
 
     def __init__(self) -> None:
         self._bins: dict[int, int] = {}  # the quickest of each second
@@ -274,7 +274,7 @@ class Transit(Revertible):
         return transit_ns - min(self._bins.values())
 
     def _steady(self, transit_ns: int, arrived_ns: int) -> bool:
-        """Whether all have long been late by the same."""
+        """Whether all messages have long been late by the same."""
         since_ns, least_ns, most_ns = self._late or Late(arrived_ns, transit_ns, transit_ns)
         least_ns, most_ns = min(least_ns, transit_ns), max(most_ns, transit_ns)
         if most_ns - least_ns > STEADY_NS:
@@ -283,15 +283,15 @@ class Transit(Revertible):
         return arrived_ns - since_ns >= STEADY_FOR_NS
 
 
-# @@ letters
+# --- latest-message cache ---
 # The newest message of each neighbour, and how far it can be trusted to be fresh.
 #
 # Clocks of different robots need not agree. The smallest (arrival - sent) of the last minute stands for the constant
 # part of that difference; what a message took beyond it is time it spent queued, and counts as age.
 #
 # Numbers and stamps may run ahead by what clocks and rates allow, and no more. What is beyond is refused and not
-# remembered, so that one wrong number does not silence a neighbour; one that insists is believed (see also
-# transit.py).
+# remembered, so that one wrong number does not silence a neighbour; a sender that repeats it is believed after INSISTS
+# messages, as in `Transit`.
 
 SAID_HZ = 100  # messages of a neighbour on one key, at most: five times what a fleet file can ask for
 AHEAD_S = 10  # of such messages that may be missing at any time
@@ -338,7 +338,7 @@ class Sender(NamedTuple, Generic[M]):
 
 
 class Letters(Revertible, Generic[M]):
-    """Newest letter per neighbour; refuses what cannot be a neighbour's next word."""
+    """The newest message of each neighbour; refuses what cannot be its next one."""
 
     def __init__(self, fleet: str, me: str, neighbours: tuple[str, ...]) -> None:
         self._fleet, self._me = fleet, me
@@ -362,12 +362,12 @@ class Letters(Revertible, Generic[M]):
         return letter
 
     def age_ns(self, src: str, now_ns: int) -> int | None:
-        """How old the newest word of a neighbour is; None when it never spoke."""
+        """How old the newest message of a neighbour is; None where none came."""
         letter = self.senders[src].newest
         return None if letter is None else now_ns - letter.arrived_ns + letter.late_ns
 
     def doubled(self, now_ns: int) -> tuple[str, ...]:
-        """Names under which two robots speak."""
+        """Names that two robots use at once."""
         times = {name: sender.doubled_ns for name, sender in self.senders.items()}
         return tuple(name for name, at_ns in times.items() if at_ns is not None and now_ns - at_ns <= TWIN_NS)
 
@@ -376,7 +376,7 @@ class Letters(Revertible, Generic[M]):
         return (message.fleet, message.dst) == (self._fleet, self._me)
 
     def _numbered(self, src: str, message: M, arrived_ns: int) -> Sender[M]:
-        """The neighbour with what the number of this message tells. Raises Refusal where it cannot be the next one."""
+        """What is kept of the neighbour after the number of this message. Raises Refusal where it cannot be the next."""
         sender = self.senders[src]
         if sender.newest is None or sender.newest.message.incarnation != message.incarnation:
             up_s = max(0, message.sent_ns - message.incarnation) // 10**9
@@ -399,7 +399,7 @@ class Letters(Revertible, Generic[M]):
 
 
 def _restarted(sender: Sender[M], incarnation: int, now_ns: int) -> Sender[M]:
-    """A neighbour with a new incarnation; one that returns to the incarnation before is two robots of one name."""
+    """The neighbour with a new incarnation; a return to the incarnation before shows two robots of one name."""
     newest, before = sender.newest, sender.before
     returned = before is not None and before[0] == incarnation and now_ns - before[1] <= TWIN_NS
     return sender._replace(
@@ -408,27 +408,27 @@ def _restarted(sender: Sender[M], incarnation: int, now_ns: int) -> Sender[M]:
     )
 
 
-# @@ origin_clocks
+# --- clocks of origins ---
 # When a sample was taken, on our clock: what its origin's clock said then, plus how far that clock is from ours.
 #
-# Each copy of a sample tells an offset of its own: its time of arrival less its age less its origin's stamp. Ways
-# that are unaccounted for make it too large, a relay that lies may make it anything. So the origin's own mouth
-# decides, else the first relay; from then on the offset moves no faster than clocks drift.
+# Each copy of a sample tells an offset of its own: its time of arrival less its age less its origin's stamp. Delays
+# that are unaccounted for make it too large, a relay that lies may make it anything. So the first copy that comes from
+# the origin itself decides, else the first relay; from then on the offset moves no faster than clocks drift.
 
-DRIFT = 1e-3  # the offset falls no faster than this, as better ways are found; no quartz is as bad
-RISE = 1e-4  # and rises so fast where all ways seem to have become longer: the worst drift of two quartzes
+DRIFT = 1e-3  # the offset falls no faster than this, as shorter delays are found; no quartz is as bad
+RISE = 1e-4  # it rises so fast where all delays seem to have become longer: the worst drift of two quartzes
 
 
 class Offset(NamedTuple):
-    """Ours minus the origin's clock."""
+    """Our clock minus the origin's."""
 
     offset_ns: int
     at_ns: int
-    direct: bool  # from its own mouth
+    direct: bool  # by a message of the origin itself
 
 
 class OriginClocks(Revertible):
-    """What one robot knows of the clocks of all others."""
+    """What one robot knows of the clocks of all origins."""
 
     def __init__(self) -> None:
         self._offsets: dict[str, Offset] = {}

@@ -1,7 +1,8 @@
-"""Camera gimbal: where to point, how to get there, and where to look for a target that was only told.
+"""Camera gimbal: where to point, how to get there, where the servos stand meanwhile, and where to look for a target
+that neighbours told of.
 
 Cheap servos have play. Every final approach therefore comes from the low-pulse side, in use as in calibration, and
-the play becomes part of the calibrated zero. Only a gaze that goes with a target (gaze.py) has no final approach.
+the play becomes part of the calibrated zero. Only a gimbal that tracks a target has no final approach.
 """
 
 from __future__ import annotations
@@ -12,13 +13,13 @@ from typing import NamedTuple
 
 from agent.core.step_transaction import Revertible
 
-LOWEST_US, HIGHEST_US = 500, 2500  # pulses of a servo; a board leaves all servos where they are that is told others
+LOWEST_US, HIGHEST_US = 500, 2500  # pulses of a servo; told any other, a board leaves all servos where they are
 PLAY_US = 25  # how far below the goal an approach starts: more than any servo's play
 LAG_NS = 150_000_000  # after the time for a turn, a servo is there but for its play
 APPROACH_NS = 300_000_000  # time for that first leg
 SETTLE_NS = 450_000_000  # after the final command: lag, slew of small moves, and the body's own reaction
 SLEW_US_PER_S = 2000.0  # a servo's slowest full-speed turn, to wait for long moves
-FULL_TURN_US = 1000  # before the first goal nobody knows where the servos stand
+FULL_TURN_US = 1000  # before the first goal it is not known where the servos stand
 SEARCH_NS = 1_400_000_000  # how long a look in one direction lasts before the next
 SEARCH_DEG = (  # around the told direction, (pan, tilt): near ones first
     (0.0, 0.0),
@@ -43,7 +44,7 @@ class Pointing(Revertible):
         self.last_leg_ns = 0  # when the approach to goal_us begins its last leg
         self.told_ns = 0  # when goal_us was set: frames exposed from then on are not of the goal before
         self.steady_from_ns = 0  # frames exposed later belong to goal_us
-        self.tracks = False  # goal_us goes with a target, step by step
+        self.tracks = False  # goal_us follows a target, step by step
 
     def aim(self, goal_us: tuple[int, int], now_ns: int) -> None:
         """Turn to a new goal; the same goal again changes nothing."""
@@ -58,7 +59,7 @@ class Pointing(Revertible):
         self.goal_us, self.tracks = goal_us, False
 
     def track(self, goal_us: tuple[int, int], now_ns: int) -> None:
-        """A set-point of now, the next one comes with the next step: no play is taken up, nothing is waited for."""
+        """Set the goal of this step; the next step brings the next. No play is taken up, nothing is waited for."""
         if not self.tracks:
             self.last_leg_ns = self.steady_from_ns = now_ns
         self.goal_us, self.told_ns, self.tracks = goal_us, now_ns, True
@@ -109,27 +110,27 @@ def off_centre_px(centre_px: tuple[float, float], width_px: int, height_px: int)
     return math.hypot(centre_px[0] - width_px / 2, centre_px[1] - height_px / 2)
 
 
-# @@ servo_path
-# Where servos stand that are told another angle at each step: behind what they are told, by their lag.
+# --- servo model ---
+# Where servos stand that get another angle at each step: behind their command, by their lag.
 #
 # dm/dt = (c - m) / tau,  |dm/dt| <= slew
 #
-# Between two set-points c is constant, so that m has a closed form: at full speed while |c - m| > slew tau, then (c -
-# m) e^(-t/tau). Servos do not say where they are, and tau differs from one to the other: what it leaves open is its
+# Between two set-points c is constant, so that m has a closed form: at full speed while |c - m| > slew tau, then
+# (c - m) e^(-t/tau). Servos do not report where they are, and tau differs from one to the other: what it leaves open is its
 # uncertainty times the rate.
 
-# Of the way through host and module, 20 ms at most each, and of a small digital servo under a camera's load.
+# The delay through host and module, 20 ms at most each, and the lag of a small digital servo under a camera's load.
 SERVO_LAG_S = 0.06
 LAG_SIGMA_S = 0.025
 THERE_US = 5.0  # half a degree: a jump is over
-SETTLED = 4.0  # lags after which it is, too, of one that is to turn on
+SETTLED = 4.0  # lags after which a jump is over, too, of a servo that turns on meanwhile
 KEEP_NS = 6_000_000_000  # as long as poses are kept
 
 Pulses = tuple[float, float]  # pan and tilt, us
 
 
 class Stand(NamedTuple):
-    """Of both servos at one moment."""
+    """Where both servos stand at one moment."""
 
     told_ns: int  # when the set-point came that they are on the way to
     us: Pulses
@@ -142,21 +143,21 @@ class Leg(NamedTuple):
     told_ns: int
     from_us: Pulses
     to_us: Pulses
-    jumps_until_ns: int = 0  # farther than at full speed; a swift servo is there long before a slow one
+    jumps_until_ns: int = 0  # a jump goes at full speed: until then a swift servo is there long before a slow one
 
 
 class ServoPath(Revertible):
-    """Of the last seconds in which each step had a set-point of its own."""
+    """The set-points of the last seconds, and where the servos stand by them."""
 
     def __init__(self) -> None:
         self._legs: deque[Leg] = deque()
 
     def begin(self, at_us: Pulses) -> None:
-        """They stand there when the next set-point comes."""
+        """Set where the servos stand when the next set-point comes."""
         self._legs.append(Leg(0, at_us, at_us))
 
     def add(self, told_ns: int, to_us: Pulses) -> None:
-        """Told at that moment. There was a `begin`."""
+        """Take note of a set-point and when it was commanded. There must have been a `begin`."""
         last = self._legs[-1]
         here = last.from_us if last.told_ns == 0 else _both(last, told_ns)
         if last.told_ns == 0:
@@ -171,7 +172,7 @@ class ServoPath(Revertible):
             self._legs.popleft()
 
     def at(self, t_ns: int) -> Stand | None:
-        """None: before the first set-point that is remembered."""
+        """Where the servos are; None: before the first set-point that is remembered."""
         for leg in reversed(self._legs):
             if 0 < leg.told_ns <= t_ns:
                 here = _both(leg, t_ns)

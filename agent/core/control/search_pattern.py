@@ -1,4 +1,4 @@
-"""Where a camera looks for a target that nobody knows: outwards from where it was last, then all that the gimbal
+"""Where a camera looks for a target that no robot knows: outwards from where it was last, then all that the gimbal
 reaches, row by row, again and again.
 
 Neighbouring looks overlap, so that a target on the seam is whole in one of them.
@@ -14,7 +14,7 @@ from agent.core.step_transaction import Revertible
 
 Ways = tuple[tuple[float, float], ...]  # pan and tilt, degrees
 
-FRAMES = 2  # without the target, and the next look is due
+FRAMES = 2  # without the target, after which the next look is due
 BACK = 2  # looks, so that the next is the one before
 OVERLAP_DEG = 8.0  # of neighbouring looks: as wide as a ball of 14 cm is at 1 m
 NEAR_M = 0.8  # floor and surface are searched from there on; what is nearer was farther away before
@@ -23,7 +23,7 @@ WIDEST_DEG = 90.0  # of the spiral
 
 
 class Roam(Revertible):
-    """One search's looks, one after the other. It is moved on by control/seek.py."""
+    """The looks of one search, one after the other. `Seek` (target_search.py) moves it on."""
 
     def __init__(self, target: str, spiral: Ways, around: Ways, since_ns: int = 0) -> None:
         """spiral: offsets from where the target was last; around: by the gimbal's own angles."""
@@ -48,7 +48,7 @@ class Roam(Revertible):
 
     @property
     def empty(self) -> bool:
-        """Whether its newest frames have."""
+        """Whether the newest frames of the newest look have shown that there is nothing."""
         return self._empty >= FRAMES
 
     @property
@@ -57,7 +57,7 @@ class Roam(Revertible):
         return max(self._step - len(self._spiral), 0) // len(self._around)
 
     def add_frame(self, found: bool) -> None:
-        """One of the newest look."""
+        """Take note of a frame of the newest look."""
         self.found, self._empty = found, 0 if found else self._empty + 1
         self._glimpse |= found
 
@@ -70,7 +70,7 @@ class Roam(Revertible):
         self.looks += 1
 
     def repeat(self) -> None:
-        """The newest look is due again: the camera was elsewhere."""
+        """Make the newest look due again: the camera was elsewhere."""
         self._step, self._empty, self.found, self._glimpse = self._step - 1, FRAMES, False, False
 
     @property

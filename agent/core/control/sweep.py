@@ -1,10 +1,10 @@
-"""Focus as a state machine: when to look everywhere, when around the last peak, and what a finished sweep gave.
+"""Focus sweeps as a state machine: when to look everywhere, when around the last peak, and what a finished sweep gave.
 
 A full sweep looks everywhere, once; tracking sweeps then visit a few positions around the last peak. After two without
-a peak, the second one wider, it is a full sweep's turn again. A sweep in which target or robot moved too far, or whose
-frames came too slowly, is rejected, and the next one repeats it: a full one with half the positions, so that it is over
-sooner. Where full sweeps keep giving nothing, there is a pause between them: a lens that always moves sees nothing
-sharply for long.
+a peak, the second one wider, the next one is a full sweep again. A sweep in which target or robot moved too far, or
+whose frames came too slowly, is rejected, and the next one repeats it: a full one with half the positions, so that it
+is over sooner. Where full sweeps keep giving nothing, there is a pause between them: a lens that always moves sees
+nothing sharply for long.
 """
 
 from __future__ import annotations
@@ -21,66 +21,6 @@ from agent.core.ranging.fix import Outline
 from agent.core.ranging.focus import Peak, fit_peak, phase_sigma
 from agent.core.step_io import Sighting, SweepPlan, Telemetry
 from agent.core.step_transaction import Revertible
-
-# @@ lens_positions
-# Which lens positions a sweep visits.
-#
-# Equal lens steps are equal steps in dioptres. All sweeps run towards larger positions and come from before their
-# first one, so that the lens's play is the same constant in every sweep, and in the calibration.
-
-TRACK_STEPS = 7
-TRACK_SPAN = 1.5  # half span of a tracking sweep, peak half-widths: beyond it the flanks say little
-EXPECTED_SPAN = 1.5  # half span of a first sweep around where others say that a target is, likewise
-HOME = 0.6  # how far before its first position a sweep starts, peak half-widths
-FULL_MARGIN = 0.12  # a full sweep passes the calibrated positions at both ends by this share of their span
-PAST_INFINITY = 0.5  # and infinity by so many peak half-widths: a far target's peak has two flanks, too
-
-
-def full_positions(fit: FocusFit, steps: int) -> tuple[int, ...]:
-    """All that is in the water: past both ends of the calibrated positions, and past infinity."""
-    margin = FULL_MARGIN * (fit.highest - fit.lowest)
-    first, last = fit.lowest - margin, fit.highest + margin
-    nearest = last if fit.b_m > 0.0 else first
-    # By a step at least: a peak is believed from the second position on.
-    beyond = max(PAST_INFINITY * fit.width, abs(nearest - fit.rho0) / max(steps - 2, 1))
-    if fit.b_m > 0.0:  # larger positions are nearer
-        return spread(min(first, fit.rho0 - beyond), last, steps)
-    return spread(first, max(last, fit.rho0 + beyond), steps)
-
-
-def track_positions(lens_position: float, width: float, span: float = TRACK_SPAN) -> tuple[int, ...]:
-    """A few around that of the last peak, `span` half-widths to either side: wide enough to see both flanks."""
-    return spread(lens_position - span * width, lens_position + span * width, TRACK_STEPS)
-
-
-def expected_positions(lens_position: float, width: float, full_steps: int) -> tuple[int, ...]:
-    """Half as many as of a full sweep, around where a target is believed to be: both flanks, and room for a doubt."""
-    half_span = EXPECTED_SPAN * width
-    return spread(lens_position - half_span, lens_position + half_span, max(full_steps // 2, 2 * TRACK_STEPS))
-
-
-def home_position(lens_positions: Sequence[int], fit: FocusFit) -> int:
-    """Where the lens waits before the first of `lens_positions`."""
-    return max(round(lens_positions[0] - HOME * fit.width), 0)
-
-
-def spread(first: float, last: float, steps: int) -> tuple[int, ...]:
-    """`steps` whole lens positions from first, or from 0, the lowest of every driver, to last, rising."""
-    first = max(first, 0.0)
-    return tuple(round(first + (last - first) * k / (steps - 1)) for k in range(steps))
-
-
-def short_of_infinity(fit: FocusFit, reported: Sequence[int]) -> str | None:
-    """What it means that the lens, told to pass infinity, came to rest at these positions; None where it got there."""
-    ordered = sorted(set(reported), reverse=fit.b_m < 0.0)  # the far end first
-    if len(ordered) < 2 or (fit.rho0 - ordered[0]) * fit.b_m >= 0.0:
-        return None
-    # A peak is believed from the second position on; there the hyperbola has its farthest range.
-    reach_m = fit.u_inf_m + fit.b_m / (ordered[1] - fit.rho0)
-    return f"the lens stops at {ordered[0]}, infinity is at {fit.rho0:.0f}: no range to targets beyond {reach_m:.1f} m"
-
-
-# @@ sweep
 
 WIDER = 2.0  # a tracking sweep after one that found nothing looks so much farther, once, before the next full sweep
 STEP_LIMIT_PX = 12.0  # between frames that follow each other; above, they do not show the same patch
@@ -158,7 +98,7 @@ class Sweep(Revertible):
         return not self.running and now_ns >= self._rest_until_ns
 
     def start(self, now_ns: int, by_light: ByLight | None = None) -> SweepPlan:
-        """Begin the next sweep: full when there is no peak to track, and nothing is told of where one may be."""
+        """Begin the next sweep: full where there is no peak to track, and no hint where one may be."""
         self._by_light = by_light
         if self._last is not None:
             half_span = TRACK_SPAN * (WIDER if self._failures else 1.0)
@@ -175,7 +115,7 @@ class Sweep(Revertible):
         return self._plan
 
     def frame(self, sighting: Sighting) -> None:
-        """Collect a frame of the running sweep; others pass by."""
+        """Collect a frame of the running sweep; other frames are ignored."""
         if self._plan is not None and sighting.sweep == self._plan.sweep:
             self._frames.append(sighting)
             self._deadline_ns = max(self._deadline_ns, sighting.t_ns + SLACK_NS)
@@ -202,7 +142,7 @@ class Sweep(Revertible):
         return result
 
     def take_back(self) -> None:
-        """What was measured last is to be forgotten: the light changed in it, and its peak may be none."""
+        """Forget the newest measurement: the light changed in it, and its peak may be none."""
         self._last = self._before
 
     @property
@@ -310,3 +250,59 @@ def step_limit_px(sighting: Sighting) -> float:
 def span(points: Sequence[tuple[float, float]]) -> float:
     """Distance from the least to the most, along the axis on which that is more."""
     return max((max(axis) - min(axis) for axis in zip(*points, strict=True)), default=0.0)
+
+
+# --- lens positions of a sweep ---
+# Equal lens steps are equal steps in dioptres. All sweeps run towards larger positions and come from before their first
+# one, so that the lens's play is the same constant in every sweep, and in the calibration.
+
+TRACK_STEPS = 7
+TRACK_SPAN = 1.5  # half span of a tracking sweep, peak half-widths: beyond it the flanks say little
+EXPECTED_SPAN = 1.5  # half span of a first sweep around where neighbours say that a target is, likewise
+HOME = 0.6  # how far before its first position a sweep starts, peak half-widths
+FULL_MARGIN = 0.12  # a full sweep passes the calibrated positions at both ends by this share of their span
+PAST_INFINITY = 0.5  # and infinity by so many peak half-widths: a far target's peak has two flanks, too
+
+
+def full_positions(fit: FocusFit, steps: int) -> tuple[int, ...]:
+    """Positions for all ranges in the water: past both ends of the calibrated positions, and past infinity."""
+    margin = FULL_MARGIN * (fit.highest - fit.lowest)
+    first, last = fit.lowest - margin, fit.highest + margin
+    nearest = last if fit.b_m > 0.0 else first
+    # By a step at least: a peak is believed from the second position on.
+    beyond = max(PAST_INFINITY * fit.width, abs(nearest - fit.rho0) / max(steps - 2, 1))
+    if fit.b_m > 0.0:  # larger positions are nearer
+        return spread(min(first, fit.rho0 - beyond), last, steps)
+    return spread(first, max(last, fit.rho0 + beyond), steps)
+
+
+def track_positions(lens_position: float, width: float, span: float = TRACK_SPAN) -> tuple[int, ...]:
+    """A few positions around the last peak, `span` half-widths to either side: wide enough to see both flanks."""
+    return spread(lens_position - span * width, lens_position + span * width, TRACK_STEPS)
+
+
+def expected_positions(lens_position: float, width: float, full_steps: int) -> tuple[int, ...]:
+    """Half as many as of a full sweep, around where a target is believed to be: both flanks, and room for an error."""
+    half_span = EXPECTED_SPAN * width
+    return spread(lens_position - half_span, lens_position + half_span, max(full_steps // 2, 2 * TRACK_STEPS))
+
+
+def home_position(lens_positions: Sequence[int], fit: FocusFit) -> int:
+    """Where the lens waits before the first of `lens_positions`."""
+    return max(round(lens_positions[0] - HOME * fit.width), 0)
+
+
+def spread(first: float, last: float, steps: int) -> tuple[int, ...]:
+    """`steps` whole lens positions from first, or from 0, the lowest of every driver, to last, rising."""
+    first = max(first, 0.0)
+    return tuple(round(first + (last - first) * k / (steps - 1)) for k in range(steps))
+
+
+def short_of_infinity(fit: FocusFit, reported: Sequence[int]) -> str | None:
+    """What it means that the lens, told to pass infinity, came to rest at these positions; None where it got there."""
+    ordered = sorted(set(reported), reverse=fit.b_m < 0.0)  # the far end first
+    if len(ordered) < 2 or (fit.rho0 - ordered[0]) * fit.b_m >= 0.0:
+        return None
+    # A peak is believed from the second position on; there the hyperbola has its farthest range.
+    reach_m = fit.u_inf_m + fit.b_m / (ordered[1] - fit.rho0)
+    return f"the lens stops at {ordered[0]}, infinity is at {fit.rho0:.0f}: no range to targets beyond {reach_m:.1f} m"

@@ -1,4 +1,6 @@
-"""Find a target, keep it in the middle of the image, and measure it with the lens again and again."""
+"""Find a target, keep it in the middle of the image, and measure it with the lens again and again; and, of several
+targets, which one the camera looks at.
+"""
 
 from __future__ import annotations
 
@@ -34,20 +36,20 @@ class TargetMemory(Revertible):
 
 
 class Seek(Revertible):
-    """Gimbal and lens of one robot. They are at one target at a time; `act` is told which."""
+    """Gimbal and lens of one robot. They serve one target at a time; `act` is told which."""
 
     def __init__(self, fleet: Fleet, robot: Robot, calibration: Calibration) -> None:
         self._fleet, self._robot, self._camera = fleet, robot, calibration.camera
         self.pointing = Pointing()
-        self.pose = robot.pose  # of a robot that swims, by whoever knows it
-        self.roam: Roam | None = None  # of one that searches, likewise
+        self.pose = robot.pose  # of a robot that swims the caller updates it
+        self.roam: Roam | None = None  # of a robot that searches the caller sets it
         self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
-        self._target = next(iter(fleet.target))  # the one that gimbal and lens are at
+        self._target = next(iter(fleet.target))  # the one that gimbal and lens serve
         self._elsewhere = False  # the gimbal was turned away from it, on purpose
-        self.lit_from_ns: int | None = 0  # since when there is light where it looks; None: dark, and nothing shows
+        self.lit_from_ns: int | None = 0  # since when there is light where the camera looks; None: dark
         self.by_light: ByLight | None = None  # of a fleet that lights for each other: what lamps change of a sweep
-        self.lit_m: Vector | None = None  # a place that is lit for whoever knows no other; world frame
-        self._lit_seen_m: Vector | None = None  # the one that the gimbal was turned to
+        self.lit_m: Vector | None = None  # a place that is lit, for a robot that knows no other place; world frame
+        self._lit_seen_m: Vector | None = None  # the lit place that the gimbal was turned to
         self.surveys = False  # a sweep over whole frames is under way, of no target
         self._look_us = self._pulses_us(robot.look.pan_deg, robot.look.tilt_deg)
 
@@ -62,8 +64,8 @@ class Seek(Revertible):
         return found or (target == self._target and self._memory[target].in_view(now_ns))
 
     def glimpsed_m(self, target: str, level: Attitude, far_m: float | None, now_ns: int) -> Vector | None:
-        """About where it is that is in view, world frame: as far away as a ball looks, else as far_m says. None: it is
-        not in view, or nobody can say how far away."""
+        """About where the target in view is, world frame: the range by the size of a ball, else far_m. None: it is not
+        in view, or its range is not known."""
         seen, radius_m = self._memory[target].seen, self._fleet.target[target].radius_m
         if target != self._target or seen is None or seen.centre_px is None or not self.sees(target, now_ns):
             return None
@@ -102,7 +104,7 @@ class Seek(Revertible):
         return self._memory[self._target].sweep.finish(now_ns)
 
     def take_back(self) -> None:
-        """The sweep that ended last does not count: the next one goes by what was known before it."""
+        """Forget the sweep that ended last: the next one goes by what was known before it."""
         self._memory[self._target].sweep.take_back()
 
     def ready(self, target: str, now_ns: int) -> bool:
@@ -115,7 +117,7 @@ class Seek(Revertible):
         return self._memory[self._target].sweep.most_ns
 
     def remark(self) -> str | None:
-        """What is to be known about the lens, once."""
+        """What a full sweep showed about the lens, once."""
         return self._memory[self._target].sweep.remark()
 
     def act(
@@ -156,7 +158,7 @@ class Seek(Revertible):
     def _goes_to_light(
         self, memory: TargetMemory, attitude: Attitude | None, told_m: Vector | None, now_ns: int
     ) -> bool:
-        """Turn to what is lit, once, where nothing is seen and nobody has told anything; whether that was now."""
+        """Turn to what is lit, once, where nothing is seen and no neighbour has told anything; whether that was now."""
         before, self._lit_seen_m = self._lit_seen_m, self.lit_m
         if self.lit_m is None or self.lit_m == before or told_m is not None or memory.in_view(now_ns):
             return False
@@ -171,7 +173,7 @@ class Seek(Revertible):
 
     def look(self, pan_deg: float, tilt_deg: float, now_ns: int, swift: bool = False) -> None:
         """Turn the camera elsewhere, for another purpose than the target; not while a sweep is under way. The next
-        `act` turns it back. swift: from a target that it goes with, without rest."""
+        `act` turns it back. swift: from a target that it tracks, without rest."""
         self._elsewhere, goal_us = True, self._pulses_us(pan_deg, tilt_deg)
         if swift:
             self.pointing.track(goal_us, now_ns)
@@ -179,8 +181,8 @@ class Seek(Revertible):
             self._aim(goal_us, now_ns)
 
     def track(self, target: str, pan_deg: float, tilt_deg: float, now_ns: int) -> None:
-        """Point there now, and elsewhere with the next step: the camera goes with that target. Not while a sweep is
-        under way."""
+        """Point there now, and elsewhere with the next step: the camera tracks that target. Not while a sweep is under
+        way."""
         self._target, self._elsewhere = target, False
         self.pointing.track(self._pulses_us(pan_deg, tilt_deg), now_ns)
 
@@ -228,19 +230,18 @@ class Seek(Revertible):
             self.pointing.aim(goal_us, now_ns)
 
 
-# @@ target_scheduler
-# Which of several targets the camera looks at.
-#
+# --- target scheduler ---
 # A camera looks at one target at a time, and only the target that is looked at iterates. The rule: a turn lasts until
-# the target's iteration index passes a multiple of TURN; then the target with the lowest index is next, in the order
-# of the fleet file where they are equal. The index is one that all robots of a swarm share (a robot that is behind
-# adopts that of its neighbours), so all of them look at the same target at the same time, from their different sides,
-# without having to ask: each target's valid set is as large as it can be.
+# the target's iteration index passes a multiple of TURN; then the target with the lowest index is next, in the order of
+# the fleet file where they are equal. The index is one that all robots of a swarm share (a robot that is behind adopts
+# that of its neighbours), so all of them look at the same target at the same time, from their different sides, without
+# having to ask: each target's valid set is as large as it can be.
 #
-# What nobody has seen yet has its turns like the others; the camera then rests where the fleet file's `look` points.
+# A target that no robot has seen yet has its turns like the others; the camera then rests where `look` in the fleet
+# file points.
 #
-# No target starves. A turn ends after TURN iterations, whatever the camera sees. And should indices that come from
-# elsewhere keep a target from ever being the lowest (a neighbour that knows one target only drives that one), who has
+# No target starves. A turn ends after TURN iterations, whatever the camera sees. Indices that come from elsewhere may
+# keep a target from ever being the lowest (a neighbour that knows one target only drives that one): a target that has
 # been passed over for PATIENCE turns of each of the others is next.
 
 TURN = 5  # iterations: one goes by while the gimbal turns, and a search looks in two directions
@@ -258,7 +259,7 @@ class TargetScheduler(Revertible):
 
     def next(self, t: Mapping[str, int], pursued: str | None = None) -> str:
         """Whose turn it is now; asked when no measurement is under way. `t`: the iteration index of each target.
-        pursued: a target that the camera goes with, and takes no turns meanwhile."""
+        pursued: a target that the camera tracks; it takes no turns meanwhile."""
         if pursued is not None:
             self.target = pursued
         if pursued is not None or len(self._waits) == 1 or t[self.target] < self._ends_at:
