@@ -1,4 +1,4 @@
-"""A clock as everybody holds it, and the system's own, by which robots with real devices live."""
+"""The clocks that a process may live by: the system's own, with real devices, and that of a dive in the twin."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ REST_NS = 1 << 62  # "wake me for news only": later than anything
 
 
 class Clock(Protocol):
-    """Unix time in nanoseconds that never steps back. It may run faster or slower than the wall, or stand."""
+    """Unix time in nanoseconds that never steps back. It may run faster or slower than the wall's, or stand."""
 
     camera_offset_ns: int  # from the stamps of cameras that live by this clock to its own time
 
@@ -35,7 +35,7 @@ class Clock(Protocol):
         """Seconds of this clock in a second of the wall, of late."""
 
     def is_driven(self) -> bool:
-        """Whether the twin whose time it is lives; of the system's clock always."""
+        """Whether the twin whose time it is runs; always true of the system's clock."""
 
     def join(self, part: str, slack_ns: int) -> None:
         """From now on this clock waits for a part of this process: it goes no further than slack_ns beyond what
@@ -45,11 +45,11 @@ class Clock(Protocol):
         """The part has done everything that is due before until_ns."""
 
     def leave(self, part: str) -> None:
-        """It is not waited for any more."""
+        """The clock does not wait for the part any more."""
 
 
 class SystemClock:
-    """Sampled once, then monotonic: an adjustment of the time of day is no event of a dive. It waits for nobody."""
+    """Sampled once, then monotonic: an adjustment of the time of day is no event of a dive. It waits for no part."""
 
     start_ns: int | None = None
 
@@ -79,7 +79,7 @@ class SystemClock:
 
 
 class StandingClock(SystemClock):
-    """It is always the same time, and stamps are told as they are: for frames of a recording."""
+    """It is always the same time, and stamps stay as they are: for frames of a recording."""
 
     def __init__(self, at_ns: int = 0) -> None:
         self.camera_offset_ns, self._at_ns = 0, at_ns
@@ -125,7 +125,7 @@ class Part:
         return left_s > 0.0
 
     def resume(self) -> None:
-        """Work has come, or is about to: called by who brings it, before the thread that waits knows of it."""
+        """Work has come, or is about to: called by the thread that brings it, before the waiting thread knows of it."""
         self._clock.reach(self._name, self._clock.now_ns())
 
     def rest(self) -> None:
@@ -137,13 +137,14 @@ class Part:
         self._clock.leave(self._name)
 
 
-# @@ mapped
+# --- clock file ---
 # The file in which a dive's clock stands, mapped by every process of the dive: numbers of 64 bits, nothing else.
 #
-# The twin writes the head: a line, by which run time follows from the machine's monotonic clock, and the horizon,
-# which it must not cross. Each part that takes part writes a row: how far it has come. A number is written whole, the
-# head between two changes of its sequence number. Whoever writes holds a lock on one byte, the twin on the first, a
-# process on that of its row, and the kernel takes it away from the dead: nobody has to be asked whether he lives.
+# The twin writes the head: a line, by which run time follows from the machine's monotonic clock, and the horizon, which
+# it must not cross. Each part of the dive writes a row: how far it has come. A number is written whole, the head
+# between two changes of its sequence number. A writer holds a lock on one byte, the twin on the first, a process on
+# that of its row, and the kernel of the machine releases the locks of a process that died: no process has to be asked
+# whether it lives.
 
 MAGIC = int.from_bytes(b"AUCLOCK1", "little")
 HEAD, ROW = 16, 8  # numbers in the head, in a row
@@ -165,11 +166,11 @@ class Line(NamedTuple):
     achieved: float = 1.0  # the rate of late, standing still included
 
     def at(self, monotonic_ns: int) -> int:
-        """Run time if nothing held it."""
+        """Run time without the horizon."""
         return self.base_ns + round(self.rate * (monotonic_ns - self.wall_ns))
 
     def left_at(self, monotonic_ns: int) -> int:
-        """Run time at the wall's pace, once nobody drives it any more."""
+        """Run time at the wall's pace, once no twin drives it any more."""
         return self.base_ns + monotonic_ns - self.wall_ns
 
 
@@ -230,11 +231,11 @@ class ClockFile:
         self.words[HEAD + ROW * index + ACTIVE] = 0
 
     def is_driven(self) -> bool:
-        """Whether the twin that writes it lives."""
+        """Whether the twin that writes it runs."""
         return locked_by_another(self.fd, 0)
 
     def is_alive(self, index: int) -> bool:
-        """Whether the process that took a row lives."""
+        """Whether the process that took a row runs."""
         return locked_by_another(self.fd, 1 + index)
 
 
@@ -270,7 +271,10 @@ def attach(path: Path) -> ClockFile | None:
 
 
 def lock(fd: int, byte: int) -> None:
-    """Take a lock that ends with the file's last descriptor, so with us. Raises BlockingIOError: another has it."""
+    """Take a lock that ends with the file's last descriptor, so with this process.
+
+    Raises BlockingIOError where another process has it.
+    """
     fcntl.fcntl(fd, fcntl.F_OFD_SETLK, _LOCK.pack(fcntl.F_WRLCK, os.SEEK_SET, byte, 1, 0))
 
 
@@ -279,11 +283,11 @@ def locked_by_another(fd: int, byte: int) -> bool:
     return bool(_LOCK.unpack(answer)[0] != fcntl.F_UNLCK)
 
 
-# @@ run_clock
-# The clock of a dive in the twin, as everybody but the twin holds it.
+# --- clock of a dive ---
+# The clock of a dive in the twin, as every process but the twin holds it.
 #
-# Where no twin runs it is the system's clock. Where one starts, or starts again, it follows that one. Where one dies
-# it goes on from where it was, at the wall's pace: robots whose water has vanished still talk. It never steps back.
+# Where no twin runs it is the system's clock. Where one starts, or starts again, it follows that one. Where one dies it
+# goes on from where it was, at the wall's pace: robots whose water has vanished still talk. It never steps back.
 
 SHORTEST_S, LONGEST_S = 0.0005, 0.05  # sleeps between two looks at a clock that may change its rate, or stand
 AGAIN_NS = 50_000_000  # of the wall, between two looks whether a twin has come or gone
@@ -361,7 +365,7 @@ class RunClock:
 
     def _take_row(self, part: str, reached_ns: int) -> None:
         if self._file is not None and (index := self._file.rows.get(part)) is not None:
-            with contextlib.suppress(BlockingIOError):  # somebody else dives as this robot: its links will say so
+            with contextlib.suppress(BlockingIOError):  # another process dives as this robot: its links will say so
                 self._file.join(index, reached_ns, self._parts[part])
 
     def _line(self, wall_ns: int) -> Line | None:
@@ -370,7 +374,7 @@ class RunClock:
         return self._file.line() if self._file is not None else None
 
     def _is_driven(self, wall_ns: int, again_ns: int = AGAIN_NS) -> bool:
-        """Whether there is a living twin behind what we follow; looks for another one, but not all the time."""
+        """Whether the twin that we follow runs; looks for another one, but not all the time."""
         if wall_ns - self._looked_ns >= again_ns:
             with self._lock:
                 self._looked_ns = wall_ns
@@ -395,14 +399,14 @@ class RunClock:
             self._take_row(part, self._last_ns)
 
     def _is_ahead(self, line: Line) -> bool:
-        """Whether a twin that died before we came, but not before the machine started, left time beyond the day's:
-        those who outlived it must not think us of yesterday."""
+        """Whether a twin that died before we came, but not before the machine started, left time beyond the time of
+        day: our time must not be behind that of the processes that outlived it."""
         wall_ns = machine.monotonic_ns()
         return line.wall_ns <= wall_ns and line.left_at(wall_ns) > self._system.now_ns()
 
 
-# @@ part_names
-# Who takes part in a dive: of each robot the three threads of its agent that time waits for.
+# --- parts of a dive ---
+# Of each robot the three threads of its agent that time waits for.
 
 LOOP, CAMERA, SERIAL = PARTS = ("loop", "camera", "serial")
 

@@ -1,8 +1,8 @@
-"""The twin's side of a dive's clock: how fast time goes, and whom it waits for.
+"""The twin's side of a dive's clock: how fast time goes, and which parts it waits for.
 
-As in conservative parallel simulation (Chandy and Misra 1979) time goes on once nobody who takes part is further behind
-than the slack that he asked for. So a slow part slows the dive, and nothing in it comes late. Who makes no progress for
-STALLED_S of the wall is not waited for until he does: from then on he is the fault that he would be at sea.
+As in conservative parallel simulation (Chandy and Misra 1979) time goes on once no part of the dive is further behind
+than the slack that it asked for. So a slow part slows the dive, and nothing in it comes late. A part that makes no
+progress for STALLED_S of the wall is not waited for until it does: meanwhile it is the fault that it would be at sea.
 """
 
 from __future__ import annotations
@@ -17,84 +17,12 @@ from typing import NamedTuple
 from agent.clock import clock, machine
 from agent.clock.clock import CAMERA, LOOP, PARTS, REST_NS, ClockFile, Line, part_name
 
-# @@ rate
-# How fast run time may go, how fast it went, and how fast it will go next: followers sleep by that until they look
-# again, so it should be a little above what is true.
-
-WINDOW_NS = 100_000_000  # of the wall, over which the rate is measured
-HEADROOM = 2.0  # above what was achieved: who sleeps too long holds everybody up
-LOWEST = 0.5  # expected, however slow the machine was just now
-STANDING_NS = 1_000_000_000  # a longer gap says that we were stopped ourselves, and nothing of the machine's speed
-UNATTENDED = 1.0  # nothing is gained by hurrying past agents that are still to come, or compile
-SECOND = 10  # windows: a person is told of no shorter time
-
-
-class Rate:
-    """Fed with each step of the clock."""
-
-    def __init__(self, speed: float, now_ns: int, wall_ns: int) -> None:
-        """At most `speed` seconds of run time in one of the wall."""
-        self.achieved = min(speed, UNATTENDED)  # over the last second
-        self.told: list[float] = []  # over each second in which everybody took part
-        self.wall_s = 0.0  # since the start, gaps not counted
-        self._speed, self._expected = speed, min(speed, UNATTENDED)
-        self._began = self._newest = (now_ns, wall_ns)
-        self._complete = False
-        self._windows: deque[tuple[int, int]] = deque(maxlen=SECOND)  # run time and wall time of each
-        self._untold = 0
-
-    def step(self, now_ns: int, wall_ns: int, complete: bool) -> float:
-        """It is now_ns; `complete`: everybody takes part. Returns the rate to expect next."""
-        gap_ns = wall_ns - self._newest[1]
-        self._newest = now_ns, wall_ns
-        if gap_ns > STANDING_NS or complete != self._complete:
-            self._complete, self._began = complete, self._newest
-            self._untold = 0
-            self._expected = min(self._expected, self.allowed)
-            return self._expected
-        self.wall_s += gap_ns * 1e-9
-        run_ns, took_ns = now_ns - self._began[0], wall_ns - self._began[1]
-        if took_ns >= WINDOW_NS:
-            self._expected = min(max(HEADROOM * run_ns / took_ns, LOWEST), self.allowed)
-            self._began = self._newest
-            self._measured(run_ns, took_ns)
-        return self._expected
-
-    @property
-    def allowed(self) -> float:
-        """Not the machine, but what was asked for."""
-        return self._speed if self._complete else min(self._speed, UNATTENDED)
-
-    def _measured(self, run_ns: int, took_ns: int) -> None:
-        self._windows.append((run_ns, took_ns))
-        runs, walls = zip(*self._windows, strict=True)
-        self.achieved = sum(runs) / sum(walls)
-        self._untold += 1
-        if self._untold == SECOND:
-            self._untold = 0
-            if self._complete:
-                self.told.append(self.achieved)
-
-
-# @@ in_words
-# How fast a clock went, for a person.
-
-
-def how_fast(dive_s: float, wall_s: float, rates: Sequence[float]) -> str:
-    """`rates`: of shorter times, of which the least and the most are told where they differ."""
-    text = f"{dive_s:.1f} s of dive in {wall_s:.1f} s, {dive_s / wall_s:.2f} times real time"
-    bounds = [f"{bound:.2f}" for bound in (min(rates), max(rates))] if rates else []
-    return f"{text} ({bounds[0]} to {bounds[1]})" if len(set(bounds)) == 2 else text
-
-
-# @@ keeper
-
 STALLED_S = 2.0
-POLL_S = 0.001  # between two looks at those who are waited for
-LONGEST_GAP_S = 0.05  # what a look counts at most: who was stopped himself does not hold it against others
+POLL_S = 0.001  # between two looks at the parts that are waited for
+LONGEST_GAP_S = 0.05  # what a look counts at most: a stop of the twin itself does not count against others
 CATCH_UP_NS = 5_000_000  # by less the twin may be late without time being lost
 TWIN, RENDERING = "twin", "rendering"  # what the twin itself is waited for
-NAMED = 3  # how many of those that were waited for a person is told of
+NAMED = 3  # how many of the parts that were waited for stand in the line for people
 
 
 class Story(NamedTuple):
@@ -103,11 +31,11 @@ class Story(NamedTuple):
     dive_s: float
     wall_s: float
     rates: tuple[float, ...]  # over each second in which all agents took part
-    waited_s: dict[str, float]  # for whom, on the wall; the longest first
+    waited_s: dict[str, float]  # by part, on the wall; the longest first
 
 
 class Keeper:
-    """The clock of one dive. `advance` and `close` are the twin's main thread's, the rest anybody's in the twin."""
+    """The clock of one dive. The twin's main thread calls `advance` and `close`, any thread of the twin the rest."""
 
     def __init__(self, file: ClockFile, robots: Sequence[str], speed: float, tick_ns: int) -> None:
         """Made by start_clock."""
@@ -132,16 +60,17 @@ class Keeper:
         return min(line.at(machine.monotonic_ns()), line.horizon_ns)
 
     def advance(self, to_ns: int, stop: Event) -> None:
-        """Return when it is to_ns, a tick after the last, and let everybody go on for another tick."""
+        """Return when it is to_ns, a tick after the last, and let all parts go on for another tick."""
         self._pace(stop)
         self._hold(to_ns + self._tick_ns, stop)
         self._publish(to_ns)
 
     @contextmanager
     def frame(self, robot: str, delivered_ns: int, latest_ns: int) -> Iterator[None]:
-        """Around the rendering of a frame, which whoever asked for it shall have at delivered_ns."""
+        """Around the rendering of a frame, which the camera shall have at delivered_ns."""
         self._frames[robot] = latest_ns
-        self._file.reach(self._file.rows[part_name(robot, CAMERA)], delivered_ns)  # he waits, and is not waited for
+        # The camera waits, and is not waited for.
+        self._file.reach(self._file.rows[part_name(robot, CAMERA)], delivered_ns)
         try:
             yield
             while (ahead_ns := delivered_ns - self.now_ns()) > 0 and not self._closed.is_set():
@@ -150,7 +79,7 @@ class Keeper:
             self._frames.pop(robot, None)
 
     def takes_part(self, part: str) -> bool:
-        """Whether somebody has joined as this part."""
+        """Whether a process has joined as this part."""
         return self._file.row(self._file.rows[part]).active
 
     def story(self) -> Story:
@@ -159,7 +88,7 @@ class Keeper:
         return Story(dive_s, self._rate.wall_s, tuple(self._rate.told), longest_first)
 
     def close(self) -> None:
-        """Time stands; who follows goes on by himself once our process ends."""
+        """Time stands; the followers go on by themselves once this process ends."""
         self._closed.set()
 
     def _pace(self, stop: Event) -> None:
@@ -179,7 +108,7 @@ class Keeper:
         self._waited_s[TWIN] += late_s
 
     def _hold(self, horizon_ns: int, stop: Event) -> None:
-        """Wait until nobody is too far behind for this horizon."""
+        """Wait until no part is too far behind for this horizon."""
         looked_s = machine.monotonic_s()
         while (behind := self._behind(horizon_ns)) and not stop.is_set():
             machine.sleep(POLL_S)
@@ -207,7 +136,7 @@ class Keeper:
         return behind
 
     def _parts(self) -> Iterator[tuple[str, int, int]]:
-        """Name, how far it has come, and its slack, of everybody whom time waits for."""
+        """Name, how far it has come, and its slack, of all parts that time waits for."""
         for name, limit in self.limits.items():
             yield name, limit(), 0
         for index, name in enumerate(self._names):
@@ -250,3 +179,72 @@ def how_it_went(story: Story) -> str:
     text = how_fast(story.dive_s, wall_s, story.rates)
     held = [f"{name} {100 * s / wall_s:.0f} %" for name, s in list(story.waited_s.items())[:NAMED]]
     return f"{text}; waited for {', '.join(held)}" if held else text
+
+
+# --- rate ---
+# How fast run time may go, how fast it went, and how fast it will go next: followers sleep by that until they look
+# again, so it should be a little above what is true.
+
+WINDOW_NS = 100_000_000  # of the wall, over which the rate is measured
+HEADROOM = 2.0  # above what was achieved: a follower that sleeps too long holds all up
+LOWEST = 0.5  # expected, however slow the machine was just now
+STANDING_NS = 1_000_000_000  # a longer gap says that the twin itself was stopped, and nothing of the machine's speed
+UNATTENDED = 1.0  # nothing is gained by hurrying past agents that are still to come, or compile
+SECOND = 10  # windows: people are told of no shorter time
+
+
+class Rate:
+    """Fed with each step of the clock."""
+
+    def __init__(self, speed: float, now_ns: int, wall_ns: int) -> None:
+        """At most `speed` seconds of run time in one of the wall."""
+        self.achieved = min(speed, UNATTENDED)  # over the last second
+        self.told: list[float] = []  # over each second in which all agents took part
+        self.wall_s = 0.0  # since the start, gaps not counted
+        self._speed, self._expected = speed, min(speed, UNATTENDED)
+        self._began = self._newest = (now_ns, wall_ns)
+        self._complete = False
+        self._windows: deque[tuple[int, int]] = deque(maxlen=SECOND)  # run time and wall time of each
+        self._untold = 0
+
+    def step(self, now_ns: int, wall_ns: int, complete: bool) -> float:
+        """It is now_ns; `complete`: all agents take part. Returns the rate to expect next."""
+        gap_ns = wall_ns - self._newest[1]
+        self._newest = now_ns, wall_ns
+        if gap_ns > STANDING_NS or complete != self._complete:
+            self._complete, self._began = complete, self._newest
+            self._untold = 0
+            self._expected = min(self._expected, self.allowed)
+            return self._expected
+        self.wall_s += gap_ns * 1e-9
+        run_ns, took_ns = now_ns - self._began[0], wall_ns - self._began[1]
+        if took_ns >= WINDOW_NS:
+            self._expected = min(max(HEADROOM * run_ns / took_ns, LOWEST), self.allowed)
+            self._began = self._newest
+            self._measured(run_ns, took_ns)
+        return self._expected
+
+    @property
+    def allowed(self) -> float:
+        """The rate that was asked for, whatever the machine achieves."""
+        return self._speed if self._complete else min(self._speed, UNATTENDED)
+
+    def _measured(self, run_ns: int, took_ns: int) -> None:
+        self._windows.append((run_ns, took_ns))
+        runs, walls = zip(*self._windows, strict=True)
+        self.achieved = sum(runs) / sum(walls)
+        self._untold += 1
+        if self._untold == SECOND:
+            self._untold = 0
+            if self._complete:
+                self.told.append(self.achieved)
+
+
+# --- speed in words ---
+
+
+def how_fast(dive_s: float, wall_s: float, rates: Sequence[float]) -> str:
+    """How fast a clock went, for people. `rates`: of shorter times, with least and most in the text if they differ."""
+    text = f"{dive_s:.1f} s of dive in {wall_s:.1f} s, {dive_s / wall_s:.2f} times real time"
+    bounds = [f"{bound:.2f}" for bound in (min(rates), max(rates))] if rates else []
+    return f"{text} ({bounds[0]} to {bounds[1]})" if len(set(bounds)) == 2 else text

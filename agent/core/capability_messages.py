@@ -175,8 +175,8 @@ class Has(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Claim(Message, frozen=True, kw_only=True):
-    """Where a robot looks next, so that its neighbours look elsewhere, and which keyframes it has, so that nobody
-    sends it what it has, and everybody what it lacks."""
+    """Where a robot looks next, so that its neighbours look elsewhere, and which keyframes it has, so that they
+    send it what it lacks, and nothing that it has."""
 
     schema: Annotated[int, means(NUMBER)] = SCHEMA
     fleet: Annotated[Id, means("name of the fleet")]

@@ -115,7 +115,7 @@ class Proposal(msgspec.Struct, frozen=True, array_like=True):
 
 
 class Holding(msgspec.Struct, frozen=True, array_like=True):
-    """One line of a digest: what the sender has of an origin, so that nobody sends it again."""
+    """One line of a digest: what the sender has of an origin, so that no neighbour sends it again."""
 
     origin: Annotated[Id, means("the robot that measured")]
     incarnation: Annotated[Count, means("which of its starts: Unix time of it, ns")]
@@ -247,7 +247,7 @@ class Whereabouts(Message, frozen=True, kw_only=True):
 
 
 class LampState(Message, frozen=True, kw_only=True):
-    """A robot's lamp, and whose light it is. Obeys: it burns, or is dark, as a neighbour's lease says."""
+    """A robot's lamp, and by which lease it burns. `obeys`: it burns, or is dark, as a neighbour's lease says."""
 
     power: Annotated[float, Meta(ge=0, le=1), means("share of its full power, as commanded")]
     pan_deg: Annotated[float, means("degrees, as its gimbal is told; positive to the left")]
@@ -348,7 +348,7 @@ Arg = bool | int | float | str
 
 
 class Order(Message, frozen=True, kw_only=True):
-    """What somebody at a console wants of a robot. All values are absolute: heard twice is as heard once."""
+    """What an operator at a console wants of a robot. All values are absolute: heard twice is as heard once."""
 
     schema: Annotated[int, means(NUMBER)] = SCHEMA
     id: Annotated[Count, means("counts the orders of this console, from the ns of its start on")]
@@ -361,7 +361,7 @@ class Order(Message, frozen=True, kw_only=True):
 
 
 class Answer(Message, frozen=True, kw_only=True):
-    """What became of an order, to whoever looks. The reply to the query is the same."""
+    """What became of an order, for observers. The reply to the query is the same."""
 
     schema: Annotated[int, means(NUMBER)] = SCHEMA
     robot: Annotated[Id, means("the robot that says it")]

@@ -22,7 +22,8 @@ from agent.core.messages import Entry, Epoch, Proposal, Sample
 from agent.core.step_transaction import Revertible
 
 # --- signatures ---
-# What an origin signs, and whether a signature is its own. Ed25519 (RFC 8032): verifying needs no clock and no chance.
+# What an origin signs, and whether a signature is its own. Ed25519 (RFC 8032): verifying needs no clock and no random
+# number.
 #
 # A relay may carry an entry or a sample anywhere; it cannot change one, nor make one up. All that gives the evidence
 # its meaning is signed: fleet, target and epoch too, so that nothing old or foreign can be shown again elsewhere.
@@ -376,7 +377,7 @@ class Letters(Revertible, Generic[M]):
         return (message.fleet, message.dst) == (self._fleet, self._me)
 
     def _numbered(self, src: str, message: M, arrived_ns: int) -> Sender[M]:
-        """What is kept of the neighbour after the number of this message. Raises Refusal where it cannot be the next."""
+        """What is kept of the neighbour after this number of a message. Raises Refusal where it cannot be the next."""
         sender = self.senders[src]
         if sender.newest is None or sender.newest.message.incarnation != message.incarnation:
             up_s = max(0, message.sent_ns - message.incarnation) // 10**9

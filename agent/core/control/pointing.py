@@ -116,8 +116,8 @@ def off_centre_px(centre_px: tuple[float, float], width_px: int, height_px: int)
 # dm/dt = (c - m) / tau,  |dm/dt| <= slew
 #
 # Between two set-points c is constant, so that m has a closed form: at full speed while |c - m| > slew tau, then
-# (c - m) e^(-t/tau). Servos do not report where they are, and tau differs from one to the other: what it leaves open is its
-# uncertainty times the rate.
+# (c - m) e^(-t/tau). Servos do not report where they are, and tau differs from one to the other: what it leaves open
+# is its uncertainty times the rate.
 
 # The delay through host and module, 20 ms at most each, and the lag of a small digital servo under a camera's load.
 SERVO_LAG_S = 0.06

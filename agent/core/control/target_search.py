@@ -46,7 +46,7 @@ class Seek(Revertible):
         self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
         self._target = next(iter(fleet.target))  # the one that gimbal and lens serve
         self._elsewhere = False  # the gimbal was turned away from it, on purpose
-        self.lit_from_ns: int | None = 0  # since when there is light where the camera looks; None: dark
+        self.lit_from_ns: int | None = 0  # since when it is light where the camera looks; None: dark, nothing shows
         self.by_light: ByLight | None = None  # of a fleet that lights for each other: what lamps change of a sweep
         self.lit_m: Vector | None = None  # a place that is lit, for a robot that knows no other place; world frame
         self._lit_seen_m: Vector | None = None  # the lit place that the gimbal was turned to

@@ -1,20 +1,20 @@
 """Robots exchange what each has measured, not what each believes; every robot draws the conclusion for itself.
 
 Beliefs that are averaged lose their origin: a sample counted twice, a robot that is wrong, a restart cannot be told
-any more. Here each robot's samples travel under its name: as a sum while the target rests (static_target,
-evidence_table), one by one while it moves (moving_target, window). Any robot passes them on, with or without a view of
-its own, until the neighbour shows that it holds them (delivery_ledger). The posterior is a function of what is held
-(fuse, track): equal tables give equal posteriors, on every robot, to the last bit.
+apart any more. Here each robot's samples travel under its name: as a sum while the target rests (`StaticTarget`,
+`Table`), one by one while it moves (`MovingTarget`, `Window`). Any robot passes them on, with or without a view of its
+own, until the neighbour shows that it holds them (`DeliveryLedger`). The posterior is a function of what is held
+(`fuse`, `Track`): equal tables give equal posteriors, on every robot, to the last bit.
 
-The posterior is concluded when it is read, and again only after news: what arrived since the last iteration counts as
-soon as somebody asks. `Update.explain` tells of the conclusion at the iteration itself.
+The posterior is concluded when it is read, and again only after news: what arrived since the last iteration counts at
+the next reading. `Update.explain` tells of the conclusion at the iteration itself.
 
-A target that starts or stops moving opens a new epoch, on the word of two robots (epoch_vote). It empties the table:
+A target that starts or stops moving opens a new epoch, on the word of two robots (`EpochVote`). It empties the table:
 nothing measured before the change is mixed with what came after, except the newest samples of each robot, which it
 brings along.
 
 A robot that is doubted by all others, or that alone saw the target move, was probably knocked: it begins a new
-incarnation of its entry, which owes nothing to the one before.
+incarnation of its entry, which is independent of the one before.
 """
 
 from __future__ import annotations
@@ -47,158 +47,6 @@ from agent.core.trust import (
     verify_signature,
 )
 
-# @@ static_target
-# The target rests: sums of samples are passed on, and the posterior is their robust mean.
-
-LET_GO_NS = 10_000_000_000  # for so long neighbours are told that an entry is here no more, and may send a better one
-
-
-class StaticTarget(Revertible):
-    """One robot's table in one epoch, and what its neighbours hold of it."""
-
-    def __init__(self, me: Me, epoch: Epoch) -> None:
-        self._me, self._epoch = me, epoch
-        self._table = Table()
-        self._ledgers: dict[str, DeliveryLedger[Key]] = {name: DeliveryLedger() for name in me.neighbours}
-        self._change = 0
-        self._news_ns: dict[str, int] = {}  # when each origin was last known to have measured
-        self._let_go: dict[Key, int] = {}  # until when to say so
-        self.outlived: int | None = None  # an incarnation of ours that is newer than the one we write under
-        self._by_others: tuple[int, Posterior | None] = (0, None)  # at which change of the table; nobody's at first
-        self._gain = 0.0  # share of the newest own sample in the own sum
-        self._nis: float | None = None
-
-    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> Innovation | None:
-        """Take in an own sample. Returns its innovation against the own samples before it."""
-        before = self._table.entries.get(self._me.key)
-        information = self._table.measure(self._me.key, prior)
-        self._gain = trace(information) / trace(self._table.entries[self._me.key].information)
-        self._change += 1
-        self._news_ns[self._me.key[0]] = now_ns
-        random = None if before is None else inverse(before.information)
-        self._nis = None
-        if before is None or random is None or not isinstance(prior, Prior):
-            return None
-        step, covariance = difference(prior.x_m, apply(random, before.vector)), plus(random, floored(prior.random_m2))
-        self._nis = distance2(covariance, step)
-        return Innovation(step, covariance, self._nis)
-
-    def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
-        faults, ledger, table = [], self._ledgers[src], self._table
-        if self._me.authority.keys is None:  # who speaks to us makes void what others said in its name
-            for key in [key for key in table.hearsay if key[0] == src]:
-                self._drop(key, arrived_ns + LET_GO_NS)
-        # Where the budget of a neighbour does not last, its own word comes first, then that of others near us.
-        for entry in sorted(gossip.entries, key=lambda e: (e.origin != src, e.origin not in self._ledgers)):
-            key = (entry.origin, entry.incarnation)
-            if table.is_news(entry):
-                fault = self._fault(src, entry, arrived_ns)
-                if fault is None:
-                    fault = table.merge(entry, self._me.authority.keys is None and src != entry.origin)
-                    self._change += 1
-                    self._let_go.pop(key, None)
-                    self._news_ns[entry.origin] = arrived_ns
-                if fault is not None and fault != HEARSAY:
-                    faults.append(fault)
-            self._acknowledge(ledger, key, entry.count, mark(entry))
-        for line in gossip.digest:
-            self._acknowledge(ledger, (line.origin, line.incarnation), line.newest, line.older)
-        return faults
-
-    def _acknowledge(self, ledger: DeliveryLedger[Key], key: Key, count: int, mark_: int) -> None:
-        """A neighbour holds this; where it is as new as ours and another one, it holds ours not yet."""
-        ours = self._table.entries.get(key)
-        if ours is not None:
-            ledger.acknowledge(key, count - (count == ours.count and mark_ != self._table.marks[key]))
-
-    def _fault(self, src: str, entry: Entry, now_ns: int) -> str | None:
-        """Why an entry that is news does not count."""
-        authority, (me, incarnation) = self._me.authority, self._me.key
-        if entry.origin == me and (entry.incarnation == incarnation or authority.keys is None):
-            self.outlived = outliving(self.outlived, entry.incarnation, self._me, now_ns)
-            return "own name"  # nobody else writes it, and without a signature nobody else can know what we wrote
-        says = partial(entry_bytes, *self._me.subject, self._epoch, entry)
-        fault = entry_fault(entry, self._me.bounds, now_ns)
-        fault = fault or authority.fault(src, entry.origin, entry.signature, says, now_ns)
-        if fault is None and entry.origin == me and entry.incarnation > incarnation:
-            self.outlived = outliving(self.outlived, entry.incarnation, self._me, now_ns)
-            return "own name"
-        return fault
-
-    def _drop(self, key: Key, until_ns: int) -> None:
-        self._table.drop(key)
-        self._let_go[key] = until_ns
-        self._change += 1
-
-    def began(self, me: Me) -> None:
-        self._me, self.outlived = me, None
-
-    def distrust(self, origins: Collection[str]) -> None:
-        for key in [key for key in self._table.entries if key[0] in origins and key[0] != self._me.key[0]]:
-            self._drop(key, 0)
-
-    def seeing(self, now_ns: int) -> int:
-        return sum(now_ns - news_ns <= SEEN_NS for news_ns in self._news_ns.values())
-
-    def restarted(self, src: str) -> None:
-        self._ledgers[src].forget()
-
-    def say(self, to: str, now_ns: int) -> Gossip:
-        entries, ledger = self._table.entries, self._ledgers[to]
-        versions = {key: entry.count for key, entry in entries.items()}
-        # Without a signature nobody is told what he measured himself.
-        owed = versions if self._me.authority.keys is not None else {k: n for k, n in versions.items() if k[0] != to}
-        ledger.drop(entries)
-        chosen = ledger.pending(owed, self._me.key, self._me.max_entries)
-        self._let_go = {key: until_ns for key, until_ns in self._let_go.items() if until_ns > now_ns}
-        lines = [Holding(*key, version, self._table.marks[key]) for key, version in versions.items()]
-        lines += [Holding(*key, 0) for key in self._let_go if key not in entries]
-        return Gossip(
-            self._epoch, entries=tuple(entries[k] for k in chosen), digest=ledger.digest(lines, self._change, now_ns)
-        )
-
-    def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
-        fused = fuse(self._table.opinions(), self._me.common_m2, self._me.liars)
-        if fused is None:
-            return Conclusion(before, "hold", 0.0, Explain(status="none", epoch=self._epoch))
-        alpha = self._gain * fused.shares.get(self._me.key[0], 0.0) if valid else 0.0
-        explain = Explain(
-            status=fused.verdict,
-            weights=fused.shares,
-            votes=fused.votes,
-            doubted={name: factor for name, factor in fused.factors.items() if factor < 1.0},
-            epoch=self._epoch,
-            nis=self._nis if valid else None,
-            sway_m=fused.sway_m,
-        )
-        if fused.verdict == "ambiguous":
-            return Conclusion(self._alone(valid) or before or _agreed(fused), "ambiguous", alpha, explain)
-        doubted = fused.factors.get(self._me.key[0], 1.0) < 0.5
-        return Conclusion(_agreed(fused), "fuse", alpha, explain, doubted)
-
-    def by_others(self) -> Posterior | None:
-        """Fused as all are. What robots have wrong in common does not show between them: `common_m2` is left out."""
-        if self._by_others[0] != self._change:
-            others = [opinion for opinion in self._table.opinions() if opinion.origin != self._me.key[0]]
-            fused = fuse(others, liars=self._me.liars)
-            place = None if fused is None or fused.verdict == "ambiguous" else _agreed(fused)
-            self._by_others = self._change, place
-        return self._by_others[1]
-
-    def _alone(self, valid: bool) -> Posterior | None:
-        """What our own samples say, while we see the target."""
-        for opinion in self._table.opinions() if valid else ():
-            if opinion.origin == self._me.key[0]:
-                return Posterior(opinion.x_m, plus(opinion.cov_m2, self._me.common_m2))
-        return None
-
-
-def _agreed(fused: Fused) -> Posterior:
-    return Posterior(fused.x_m, fused.cov_m2)
-
-
-# @@ evidence
-
 CARRIED = 8  # own samples that a new epoch begins with: fewer than it takes to notice a motion
 ENTRIES = 14  # in one message: two datagrams, and all there is in a swarm of that size
 DOUBTED = 10  # iterations in a row, after which a robot begins anew
@@ -208,8 +56,8 @@ ANEW_NS = 10_000_000_000  # and not again before this
 class Evidence(Revertible):
     """State of one robot for one target. `incarnation` must differ from that of every earlier start.
 
-    subject: fleet and target, as they are signed. verify: how signatures are checked. dynamics: of the target; where it
-    swims, which a fleet file says, it moves from the first epoch on, and nobody asks whether it rests.
+    subject: fleet and target, as they are signed. verify: how signatures are checked. dynamics: of the target; one
+    that swims by the fleet file moves from the first epoch on, and no robot tests whether it rests.
     """
 
     def __init__(
@@ -258,7 +106,7 @@ class Evidence(Revertible):
         return self._mode.by_others()
 
     def trust(self, keys: Mapping[str, bytes]) -> None:
-        """Public keys, as they are from now on: who lost or changed his is believed no more, from this moment."""
+        """Take over public keys. A robot that lost or changed its key is believed no more, from this moment."""
         before, self._authority.keys = self._authority.keys, dict(keys)
         known = self._me.bounds.origins if before is None else before.keys()
         if gone := {name for name in known if before is None or before[name] != keys.get(name)}:
@@ -279,13 +127,13 @@ class Evidence(Revertible):
             return ()
         faults = self._hear_epochs(src, said.gossip, letter.arrived_ns)
         if said.gossip.epoch.counter != self.epoch.counter:
-            return faults  # our next message tells the sender of ours, or comes its witnesses to us
+            return faults  # our next message tells it of our epoch, or its next one brings us the proposals
         self._pass(letter.arrived_ns)
         self._stale |= bool(said.gossip.entries or said.gossip.samples)
         return (*faults, *self._mode.hear(src, said.gossip, letter.arrived_ns - letter.late_ns))
 
     def _hear_epochs(self, src: str, gossip: Gossip, now_ns: int) -> tuple[str, ...]:
-        """Which epoch a neighbour is in, and who wants another."""
+        """Which epoch a neighbour is in, and which robots propose another."""
         faults = []
         for proposal in gossip.proposals:
             if proposal.proposer == self._me.key[0] or not self._vote.is_news(proposal, self.epoch):
@@ -337,13 +185,13 @@ class Evidence(Revertible):
         return Word(x_m, cov_m2, gossip=gossip)
 
     def _pass(self, now_ns: int) -> None:
-        """Time goes on: a target that moves is elsewhere by now."""
+        """Take note of the time: a target that moves is elsewhere by now."""
         if now_ns > self._now_ns:
             self._now_ns = now_ns
             self._stale |= self.epoch.moving
 
     def _look_at_oneself(self, doubted: bool, now_ns: int) -> None:
-        """Begin anew when all others think that we are wrong, or nobody else saw what we saw."""
+        """Begin anew when all others find that we are wrong, or no other robot saw what we saw."""
         self._doubted = self._doubted + 1 if doubted else 0
         alone = self._vote.unseconded(self.epoch, now_ns)
         if alone:
@@ -352,7 +200,7 @@ class Evidence(Revertible):
             self._begin_anew(now_ns)
 
     def _outlive(self, now_ns: int) -> None:
-        """An earlier life of ours is dated later than this one: our clock was set back."""
+        """Begin anew where an earlier start of ours is dated later than this one: our clock was set back."""
         outlived = self._mode.outlived
         if outlived is not None and outlived >= self._me.key[1] and now_ns - self._anew_ns >= ANEW_NS:
             self._begin_anew(max(now_ns, outlived + 1))
@@ -366,7 +214,7 @@ class Evidence(Revertible):
         self._mode.began(self._me)
 
     def _follow(self, now_ns: int) -> None:
-        """Begin the epoch that enough robots witness."""
+        """Begin the epoch that enough robots propose or are in."""
         if (epoch := self._vote.next(self.epoch, self._mode.seeing(now_ns), now_ns)) is not None:
             self.begin(epoch, now_ns)
 
@@ -382,3 +230,153 @@ class Evidence(Revertible):
 
     def _mode_of(self, epoch: Epoch) -> Mode:
         return MovingTarget(self._me, epoch) if epoch.moving else StaticTarget(self._me, epoch)
+
+
+# --- target at rest ---
+# Sums of samples are passed on, and the posterior is their robust mean.
+
+LET_GO_NS = 10_000_000_000  # for so long neighbours are told that an entry is here no more, and may send a better one
+
+
+class StaticTarget(Revertible):
+    """One robot's table in one epoch, and what its neighbours hold of it."""
+
+    def __init__(self, me: Me, epoch: Epoch) -> None:
+        self._me, self._epoch = me, epoch
+        self._table = Table()
+        self._ledgers: dict[str, DeliveryLedger[Key]] = {name: DeliveryLedger() for name in me.neighbours}
+        self._change = 0
+        self._news_ns: dict[str, int] = {}  # when each origin was last known to have measured
+        self._let_go: dict[Key, int] = {}  # until when neighbours are told so
+        self.outlived: int | None = None  # an incarnation of ours that is newer than the one we write under
+        self._by_others: tuple[int, Posterior | None] = (0, None)  # and at which change of the table; None at first
+        self._gain = 0.0  # share of the newest own sample in the own sum
+        self._nis: float | None = None
+
+    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> Innovation | None:
+        """Take in an own sample. Returns its innovation against the own samples before it."""
+        before = self._table.entries.get(self._me.key)
+        information = self._table.measure(self._me.key, prior)
+        self._gain = trace(information) / trace(self._table.entries[self._me.key].information)
+        self._change += 1
+        self._news_ns[self._me.key[0]] = now_ns
+        random = None if before is None else inverse(before.information)
+        self._nis = None
+        if before is None or random is None or not isinstance(prior, Prior):
+            return None
+        step, covariance = difference(prior.x_m, apply(random, before.vector)), plus(random, floored(prior.random_m2))
+        self._nis = distance2(covariance, step)
+        return Innovation(step, covariance, self._nis)
+
+    def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
+        faults, ledger, table = [], self._ledgers[src], self._table
+        if self._me.authority.keys is None:  # a robot that speaks to us voids what others said in its name
+            for key in [key for key in table.hearsay if key[0] == src]:
+                self._drop(key, arrived_ns + LET_GO_NS)
+        # Where the budget of a neighbour does not last, its own entries come first, then those of our other neighbours.
+        for entry in sorted(gossip.entries, key=lambda e: (e.origin != src, e.origin not in self._ledgers)):
+            key = (entry.origin, entry.incarnation)
+            if table.is_news(entry):
+                fault = self._fault(src, entry, arrived_ns)
+                if fault is None:
+                    fault = table.merge(entry, self._me.authority.keys is None and src != entry.origin)
+                    self._change += 1
+                    self._let_go.pop(key, None)
+                    self._news_ns[entry.origin] = arrived_ns
+                if fault is not None and fault != HEARSAY:
+                    faults.append(fault)
+            self._acknowledge(ledger, key, entry.count, mark(entry))
+        for line in gossip.digest:
+            self._acknowledge(ledger, (line.origin, line.incarnation), line.newest, line.older)
+        return faults
+
+    def _acknowledge(self, ledger: DeliveryLedger[Key], key: Key, count: int, mark_: int) -> None:
+        """A neighbour holds this. Where its entry is as new as ours but differs, it does not hold ours yet."""
+        ours = self._table.entries.get(key)
+        if ours is not None:
+            ledger.acknowledge(key, count - (count == ours.count and mark_ != self._table.marks[key]))
+
+    def _fault(self, src: str, entry: Entry, now_ns: int) -> str | None:
+        """Why an entry that is news does not count."""
+        authority, (me, incarnation) = self._me.authority, self._me.key
+        if entry.origin == me and (entry.incarnation == incarnation or authority.keys is None):
+            self.outlived = outliving(self.outlived, entry.incarnation, self._me, now_ns)
+            return "own name"  # no other robot writes it, and without a signature no other can know what we wrote
+        says = partial(entry_bytes, *self._me.subject, self._epoch, entry)
+        fault = entry_fault(entry, self._me.bounds, now_ns)
+        fault = fault or authority.fault(src, entry.origin, entry.signature, says, now_ns)
+        if fault is None and entry.origin == me and entry.incarnation > incarnation:
+            self.outlived = outliving(self.outlived, entry.incarnation, self._me, now_ns)
+            return "own name"
+        return fault
+
+    def _drop(self, key: Key, until_ns: int) -> None:
+        self._table.drop(key)
+        self._let_go[key] = until_ns
+        self._change += 1
+
+    def began(self, me: Me) -> None:
+        self._me, self.outlived = me, None
+
+    def distrust(self, origins: Collection[str]) -> None:
+        for key in [key for key in self._table.entries if key[0] in origins and key[0] != self._me.key[0]]:
+            self._drop(key, 0)
+
+    def seeing(self, now_ns: int) -> int:
+        return sum(now_ns - news_ns <= SEEN_NS for news_ns in self._news_ns.values())
+
+    def restarted(self, src: str) -> None:
+        self._ledgers[src].forget()
+
+    def say(self, to: str, now_ns: int) -> Gossip:
+        entries, ledger = self._table.entries, self._ledgers[to]
+        versions = {key: entry.count for key, entry in entries.items()}
+        # Without signatures no robot is told what it measured itself.
+        owed = versions if self._me.authority.keys is not None else {k: n for k, n in versions.items() if k[0] != to}
+        ledger.drop(entries)
+        chosen = ledger.pending(owed, self._me.key, self._me.max_entries)
+        self._let_go = {key: until_ns for key, until_ns in self._let_go.items() if until_ns > now_ns}
+        lines = [Holding(*key, version, self._table.marks[key]) for key, version in versions.items()]
+        lines += [Holding(*key, 0) for key in self._let_go if key not in entries]
+        return Gossip(
+            self._epoch, entries=tuple(entries[k] for k in chosen), digest=ledger.digest(lines, self._change, now_ns)
+        )
+
+    def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
+        fused = fuse(self._table.opinions(), self._me.common_m2, self._me.liars)
+        if fused is None:
+            return Conclusion(before, "hold", 0.0, Explain(status="none", epoch=self._epoch))
+        alpha = self._gain * fused.shares.get(self._me.key[0], 0.0) if valid else 0.0
+        explain = Explain(
+            status=fused.verdict,
+            weights=fused.shares,
+            votes=fused.votes,
+            doubted={name: factor for name, factor in fused.factors.items() if factor < 1.0},
+            epoch=self._epoch,
+            nis=self._nis if valid else None,
+            sway_m=fused.sway_m,
+        )
+        if fused.verdict == "ambiguous":
+            return Conclusion(self._alone(valid) or before or _agreed(fused), "ambiguous", alpha, explain)
+        doubted = fused.factors.get(self._me.key[0], 1.0) < 0.5
+        return Conclusion(_agreed(fused), "fuse", alpha, explain, doubted)
+
+    def by_others(self) -> Posterior | None:
+        """Fused as all are. Errors that all robots share do not show between them: `common_m2` is left out."""
+        if self._by_others[0] != self._change:
+            others = [opinion for opinion in self._table.opinions() if opinion.origin != self._me.key[0]]
+            fused = fuse(others, liars=self._me.liars)
+            place = None if fused is None or fused.verdict == "ambiguous" else _agreed(fused)
+            self._by_others = self._change, place
+        return self._by_others[1]
+
+    def _alone(self, valid: bool) -> Posterior | None:
+        """What our own samples say, while we see the target."""
+        for opinion in self._table.opinions() if valid else ():
+            if opinion.origin == self._me.key[0]:
+                return Posterior(opinion.x_m, plus(opinion.cov_m2, self._me.common_m2))
+        return None
+
+
+def _agreed(fused: Fused) -> Posterior:
+    return Posterior(fused.x_m, fused.cov_m2)

@@ -1,10 +1,10 @@
-"""Who has measured what of a target at rest: a map that only grows, and grows to the same from any order of news.
+"""What each robot has measured of a target at rest: a map that only grows, to the same from any order of news.
 
 Each robot writes one entry for each of its starts (its incarnation), the sum of all it measured since. Newer replaces
 older, so merging is commutative, associative and idempotent: loss, repeats, reordering and loops among the relays
-cannot count a sample twice. Of two entries with the same count, which no honest robot writes, the one with the larger
-numbers stands, everywhere. After a restart a robot writes under a new incarnation, and its old entry comes back to it
-from the neighbours.
+cannot count a sample twice. Of two entries with the same count, which no honest robot writes, every robot keeps the one
+with the larger numbers. After a restart a robot writes under a new incarnation, and its old entry comes back to it from
+the neighbours.
 """
 
 from __future__ import annotations
@@ -22,123 +22,11 @@ from agent.core.messages import Entry, Sample, Symmetric, Vector
 from agent.core.step_transaction import Revertible
 from agent.core.trust import CLOCKS_NS
 
-# @@ evidence_checks
-# What of a neighbour's evidence can be: limits that follow from cameras, tank and clocks, not from what is usual.
-#
-# Each entry and each sample is judged alone, by itself and the time, and never by what came before it: robots that
-# hear the same in another order believe the same. Who said it is authority.py's question.
-
-R_FLOOR_M = 0.001  # no camera of ours knows the target better than this in one sample; guards over-confident vision
-MARGIN_M = 0.2  # a place may lie this far outside the tank before it is nonsense
-LEAST = 1e-6  # 1/m^2, trace of an information that says anything: a sigma of a kilometre
-SLACK = 1e-9  # of the trace: rounding of sums that travelled
-RATE = 1.25  # samples for each iteration of the origin, at most: iterations are not exactly even
-FIRST = 2  # samples that may come before the first iteration is over
-
-
-class Bounds(NamedTuple):
-    """What evidence about a target can be."""
-
-    origins: frozenset[str]  # the robots of the fleet
-    tank_m: Vector
-    iteration_ns: int
-
-
-def entry_fault(entry: Entry, bounds: Bounds, now_ns: int) -> str | None:
-    """Why an entry is not believed, in a word to count by; None when it is."""
-    return (
-        _sums_fault(entry.origin, entry.count, entry.information, entry.vector, bounds)
-        or (None if is_covariance(entry.systematic_m2, bounds.tank_m) else "not a covariance")
-        or _time_fault(entry.incarnation, entry.count, bounds, now_ns)
-    )
-
-
-def sample_fault(sample: Sample, bounds: Bounds, now_ns: int) -> str | None:
-    """Why a sample is not believed; None when it is. One that knows but a line, a bearing, must pass the tank."""
-    return (
-        _sums_fault(sample.origin, 1, sample.information, sample.vector, bounds)
-        or (None if inverse(sample.information) is not None else _line_fault(sample, bounds.tank_m))
-        or _time_fault(sample.incarnation, sample.number, bounds, now_ns)
-    )
-
-
-def is_covariance(covariance_m2: Symmetric, tank_m: Vector) -> bool:
-    """Whether this can be a covariance of a place: semidefinite, and not less sure than that it is in the tank."""
-    return (
-        finite(covariance_m2)
-        and semidefinite(covariance_m2, 0.0)
-        and trace(covariance_m2) <= widest_m2(tank_m) * (1.0 + SLACK)
-    )
-
-
-def widest_m2(tank_m: Vector) -> float:
-    """Trace of the widest covariance that a place can have which is inside the tank."""
-    return sum((size + 2.0 * MARGIN_M) ** 2 for size in tank_m)
-
-
-def floored(random_m2: Symmetric) -> Symmetric:
-    """A covariance none of whose axes is below R_FLOOR_M: raised as a whole where one is."""
-    floor = times(R_FLOOR_M * R_FLOOR_M, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
-    if semidefinite(minus(random_m2, floor), 0.0):
-        return random_m2
-    xx, xy, xz, yy, yz, zz = random_m2
-    return xx + floor[0], xy, xz, yy + floor[3], yz, zz + floor[5]
-
-
-def finite(*groups: tuple[float, ...]) -> bool:
-    return all(math.isfinite(x) for group in groups for x in group)
-
-
-def inside(place_m: Vector, tank_m: Vector) -> bool:
-    """Whether a place can be meant: in the tank, or a little outside it."""
-    return all(-MARGIN_M <= x <= size + MARGIN_M for x, size in zip(place_m, tank_m, strict=True))
-
-
-def _sums_fault(origin: str, count: int, information: Symmetric, vector: Vector, bounds: Bounds) -> str | None:
-    """Whether a robot of the fleet can know so much from so many samples, of a place in the tank."""
-    size = trace(information)
-    if not finite(information, vector):
-        return "not finite"
-    if origin not in bounds.origins:
-        return "unknown origin"
-    if size > 3.0 * count / (R_FLOOR_M * R_FLOOR_M) * (1.0 + SLACK):
-        return "too sure"
-    if size < LEAST or not semidefinite(information, SLACK * size):
-        return "not a covariance"
-    reach_m = math.sqrt(widest_m2(bounds.tank_m))
-    if max(map(abs, vector)) > size * reach_m:
-        return "outside the tank"
-    covariance = inverse(information)
-    if covariance is None:
-        return None  # a direction not yet seen: nothing to place
-    return None if inside(apply(covariance, vector), bounds.tank_m) else "outside the tank"
-
-
-def _line_fault(sample: Sample, tank_m: Vector) -> str | None:
-    of = line(sample.information, sample.vector)
-    if of is None:
-        return "not a covariance"
-    low, high = (-MARGIN_M,) * 3, (tank_m[0] + MARGIN_M, tank_m[1] + MARGIN_M, tank_m[2] + MARGIN_M)
-    return None if chord(of, low, high) else "outside the tank"
-
-
-def _time_fault(incarnation: int, count: int, bounds: Bounds, now_ns: int) -> str | None:
-    """Whether an origin that started at `incarnation` can have taken so many samples by now. True after any partition,
-    whatever was heard before."""
-    if incarnation > now_ns + CLOCKS_NS:
-        return "from the future"
-    if count > RATE * (now_ns - incarnation + CLOCKS_NS) / bounds.iteration_ns + FIRST:
-        return "too many samples"
-    return None
-
-
-# @@ evidence_table
-
 Key = tuple[str, int]  # origin, incarnation
 
 ALIKE = 4.0  # times a covariance may differ from one start of a robot to the next: targets are seen from other places
 NOTHING_M2 = 1e-12  # a micrometre
-INCARNATIONS = 4  # of one origin, the newest: a robot that restarts all day must not fill everybody's memory
+INCARNATIONS = 4  # of one origin, the newest: a robot that restarts all day must not fill the memory of the others
 
 
 class Table(Revertible):
@@ -147,8 +35,8 @@ class Table(Revertible):
     def __init__(self) -> None:
         self.entries: dict[Key, Entry] = {}
         self.marks: dict[Key, int] = {}  # of each entry a checksum, by which neighbours see whether theirs is the same
-        self.hearsay: set[Key] = set()  # entries of which only others told
-        self._own: Key | None = None  # the one that we add to
+        self.hearsay: set[Key] = set()  # entries that came from others than their origin
+        self._own: Key | None = None  # the entry that we add to
         self._opinions: dict[str, Opinion | None] = {}  # None: to be made again, or not yet possible
 
     def measure(self, key: Key, prior: Prior | Bearing) -> Symmetric:
@@ -185,7 +73,7 @@ class Table(Revertible):
         return len(newest) < INCARNATIONS or entry.incarnation > newest[-1][1]
 
     def merge(self, entry: Entry, hearsay: bool = False) -> str | None:
-        """Take in a neighbour's entry that is news and is believed; returns what is strange about it, or None."""
+        """Take in a neighbour's entry that is news and is believed; returns the kind of its fault, or None."""
         key = (entry.origin, entry.incarnation)
         old = self.entries.get(key)
         self._put(entry)
@@ -196,7 +84,7 @@ class Table(Revertible):
         return "equivocates" if old is not None and old.count == entry.count else None
 
     def drop(self, key: Key) -> None:
-        """An entry is believed no more."""
+        """Remove an entry that is believed no more."""
         del self.entries[key], self.marks[key]
         self.hearsay.discard(key)
         if any(origin == key[0] for origin, _ in self.entries):
@@ -205,7 +93,7 @@ class Table(Revertible):
             del self._opinions[key[0]]
 
     def opinions(self) -> list[Opinion]:
-        """What each origin says by itself, in the order of their names; those that cannot place the target yet not."""
+        """The opinion of each origin, in the order of their names, without those that cannot place the target yet."""
         return [opinion for name in sorted(self._opinions) if (opinion := self._opinion(name)) is not None]
 
     def _put(self, entry: Entry) -> None:
@@ -217,7 +105,7 @@ class Table(Revertible):
             self.hearsay.discard(old)
 
     def _newest(self, origin: str) -> list[Key]:
-        """Entries of an origin, the newest first; the one that we add to is not among them, it is never let go."""
+        """Entries of an origin, the newest first, without the one that we add to: that is never let go."""
         return sorted((key for key in self.entries if key[0] == origin and key != self._own), key=lambda k: -k[1])
 
     def _opinion(self, origin: str) -> Opinion | None:
@@ -233,7 +121,7 @@ def opinion(origin: str, entries: list[Entry]) -> Opinion | None:
     The newest counts; older ones are added as long as their means agree with it. One that claims to have seen
     better, or with other systematic errors, says no more than the newest does. So a robot that was knocked, repaired
     and started again is believed at once, one that merely started again has lost nothing, and one that lied is not
-    held to its lie, unless that looked like its own samples.
+    held to its lie, unless the lie looked like its own samples.
 
     Its systematic error is the same in every sample and in every incarnation, so it enters once and is never divided.
     """
@@ -286,3 +174,113 @@ def _rank(entry: Entry) -> tuple[Any, ...]:
 
 def _sum(a: Vector, k: float, b: Vector) -> Vector:
     return a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]
+
+
+# --- checks of evidence ---
+# What of a neighbour's evidence can be: limits that follow from cameras, tank and clocks, not from what is usual.
+#
+# Each entry and each sample is judged alone, by itself and the time, and never by what came before it: robots that hear
+# the same in another order believe the same. Whether the source may say it is for `Authority` to judge.
+
+R_FLOOR_M = 0.001  # no camera knows the target better than this in one sample; guards against over-confident vision
+MARGIN_M = 0.2  # a place may lie this far outside the tank before it is nonsense
+LEAST = 1e-6  # 1/m^2, trace of an information that says anything: a sigma of a kilometre
+SLACK = 1e-9  # of the trace: rounding of sums that travelled
+RATE = 1.25  # samples for each iteration of the origin, at most: iterations are not exactly even
+FIRST = 2  # samples that may come before the first iteration is over
+
+
+class Bounds(NamedTuple):
+    """What evidence about a target can be."""
+
+    origins: frozenset[str]  # the robots of the fleet
+    tank_m: Vector
+    iteration_ns: int
+
+
+def entry_fault(entry: Entry, bounds: Bounds, now_ns: int) -> str | None:
+    """Why an entry is not believed, as a kind to count by; None when it is."""
+    return (
+        _sums_fault(entry.origin, entry.count, entry.information, entry.vector, bounds)
+        or (None if is_covariance(entry.systematic_m2, bounds.tank_m) else "not a covariance")
+        or _time_fault(entry.incarnation, entry.count, bounds, now_ns)
+    )
+
+
+def sample_fault(sample: Sample, bounds: Bounds, now_ns: int) -> str | None:
+    """Why a sample is not believed; None when it is. A bearing, which knows only a line, must pass through the tank."""
+    return (
+        _sums_fault(sample.origin, 1, sample.information, sample.vector, bounds)
+        or (None if inverse(sample.information) is not None else _line_fault(sample, bounds.tank_m))
+        or _time_fault(sample.incarnation, sample.number, bounds, now_ns)
+    )
+
+
+def is_covariance(covariance_m2: Symmetric, tank_m: Vector) -> bool:
+    """Whether this can be a covariance of a place: semidefinite, and not wider than that the place is in the tank."""
+    return (
+        finite(covariance_m2)
+        and semidefinite(covariance_m2, 0.0)
+        and trace(covariance_m2) <= widest_m2(tank_m) * (1.0 + SLACK)
+    )
+
+
+def widest_m2(tank_m: Vector) -> float:
+    """Trace of the widest covariance that a place can have which is inside the tank."""
+    return sum((size + 2.0 * MARGIN_M) ** 2 for size in tank_m)
+
+
+def floored(random_m2: Symmetric) -> Symmetric:
+    """A covariance none of whose axes is below R_FLOOR_M: it is raised as a whole where one is."""
+    floor = times(R_FLOOR_M * R_FLOOR_M, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0))
+    if semidefinite(minus(random_m2, floor), 0.0):
+        return random_m2
+    xx, xy, xz, yy, yz, zz = random_m2
+    return xx + floor[0], xy, xz, yy + floor[3], yz, zz + floor[5]
+
+
+def finite(*groups: tuple[float, ...]) -> bool:
+    return all(math.isfinite(x) for group in groups for x in group)
+
+
+def inside(place_m: Vector, tank_m: Vector) -> bool:
+    """Whether a place can be meant: in the tank, or a little outside it."""
+    return all(-MARGIN_M <= x <= size + MARGIN_M for x, size in zip(place_m, tank_m, strict=True))
+
+
+def _sums_fault(origin: str, count: int, information: Symmetric, vector: Vector, bounds: Bounds) -> str | None:
+    """Why no robot of the fleet can know so much from so many samples, of a place in the tank; None where one can."""
+    size = trace(information)
+    if not finite(information, vector):
+        return "not finite"
+    if origin not in bounds.origins:
+        return "unknown origin"
+    if size > 3.0 * count / (R_FLOOR_M * R_FLOOR_M) * (1.0 + SLACK):
+        return "too sure"
+    if size < LEAST or not semidefinite(information, SLACK * size):
+        return "not a covariance"
+    reach_m = math.sqrt(widest_m2(bounds.tank_m))
+    if max(map(abs, vector)) > size * reach_m:
+        return "outside the tank"
+    covariance = inverse(information)
+    if covariance is None:
+        return None  # a direction not yet seen: nothing to place
+    return None if inside(apply(covariance, vector), bounds.tank_m) else "outside the tank"
+
+
+def _line_fault(sample: Sample, tank_m: Vector) -> str | None:
+    of = line(sample.information, sample.vector)
+    if of is None:
+        return "not a covariance"
+    low, high = (-MARGIN_M,) * 3, (tank_m[0] + MARGIN_M, tank_m[1] + MARGIN_M, tank_m[2] + MARGIN_M)
+    return None if chord(of, low, high) else "outside the tank"
+
+
+def _time_fault(incarnation: int, count: int, bounds: Bounds, now_ns: int) -> str | None:
+    """Why an origin that started at `incarnation` cannot have taken so many samples by now; None where it can. It holds
+    after any partition, whatever was heard before."""
+    if incarnation > now_ns + CLOCKS_NS:
+        return "from the future"
+    if count > RATE * (now_ns - incarnation + CLOCKS_NS) / bounds.iteration_ns + FIRST:
+        return "too many samples"
+    return None

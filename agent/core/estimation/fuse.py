@@ -1,14 +1,14 @@
 """Fuse what each robot says into one place: a vote finds those that agree, then each is left out in turn.
 
-One robot that is wrong must not move the others, and nobody knows beforehand which one it is. Two opinions agree when
-their distance is likely under the sum of their covariances; the largest group that agrees with one of its members
+One robot that is wrong must not move the others, and it is not known beforehand which one it is. Two opinions agree
+when their distance is likely under the sum of their covariances; the largest group that agrees with one of its members
 enters. Inside it a liar may still stand, just near enough to one honest robot, and with a covariance so small that it
-would be the mean. So every origin is asked how far it stands from what the others say without it. While nobody stands
-out, all count as they claim. Where somebody does, the place is a mean over the ways to leave one out, each weighted by
-how plausible it is that all are right but this one: who stands apart takes itself out, and where two are equally
-suspect, the place lies between what follows from either.
+would be the mean. So every origin is tested for how far it stands from what the others say without it. While no origin
+stands out, all count as they claim. Where one does, the place is a mean over the ways to leave one out, each weighted
+by how plausible it is that all are right but this one: an origin that stands apart takes itself out, and where two are
+equally suspect, the place lies between what follows from either.
 
-No weight depends on what was said before: who speaks the truth again is believed at once. Covariances hold the
+No weight depends on what was said before: a robot that speaks the truth again is believed at once. Covariances hold the
 systematic error of their robot, so no robot grows surer than its survey and calibration allow.
 """
 
@@ -27,13 +27,13 @@ Verdict = Literal["none", "single", "ok", "ambiguous", "outlier"]
 Word = tuple[Symmetric, Vector]  # (P^-1, P^-1 x), which add up
 
 AGREE = 16.27  # chi^2, 3 degrees of freedom, 0.999: honest robots disagree once in a thousand pairs
-VOTERS = 64  # beyond this many, pairs cost more than a tick has: then who is consistent with the median
+VOTERS = 64  # beyond this many, pairs take longer than a tick has: then the group is what is consistent with the median
 DOUBTED = 3  # opinions from which on one can be left out and two still compared
-PAIRS = (7, 32)  # fewest opinions among which two liars can be told, and most of whose pairs a tick has the time
+PAIRS = (7, 32)  # fewest opinions among which two liars can be found, and most for whose pairs a tick has the time
 
 # Of honest opinions one in ten stands farther than LOW from the others, and one in nine hundred farther than HIGH.
-LOW = 2.5  # sigma; up to here nobody stands out. What one robot can move unseen grows with it
-HIGH = 4.0  # sigma; from here on somebody is wrong
+LOW = 2.5  # sigma; up to here no origin stands out. What one robot can move unseen grows with it
+HIGH = 4.0  # sigma; from here on some origin is wrong
 TEMPER = 0.3  # of the likelihoods: covariances are themselves only estimates. 0.5 lets a liar move more, and costs more
 
 
@@ -49,7 +49,7 @@ class Opinion(NamedTuple):
 class Ballot(NamedTuple):
     """Outcome of a vote."""
 
-    group: frozenset[str]  # the leader and who is consistent with it
+    group: frozenset[str]  # the leader and the origins that are consistent with it
     verdict: Verdict
     votes: dict[str, int]  # origins consistent with each, itself included
 
@@ -64,9 +64,9 @@ class Without(NamedTuple):
 
 
 class Doubt(NamedTuple):
-    """Whether somebody in a group stands out, and who."""
+    """Whether an origin in a group stands out, and which."""
 
-    strength: float  # 0: nobody does, 1: somebody is wrong for certain
+    strength: float  # 0: none does, 1: one is wrong for certain
     ways: list[tuple[float, Without]]  # "all are right but these", with probabilities of sum 1; empty at strength 0
 
     def factor(self, origin: str) -> float:
@@ -133,11 +133,11 @@ def mixture(places: Iterable[tuple[float, Vector, Symmetric]]) -> tuple[Vector, 
     return x, covariance
 
 
-# --- who stands out -------------------------------------------------------------------------------------------
+# --- origins that stand out ---
 
 
 def doubts(group: Sequence[Opinion], liars: int = 1, beside: Mapping[str, float] | None = None) -> Doubt:
-    """Who of a group that agrees may still be wrong; nobody in a group too small to tell.
+    """Which of a group that agrees may still be wrong; none in a group too small to tell.
 
     beside: d^2 of each by what else is known of it, where one is left out; the larger counts.
     """
@@ -162,7 +162,8 @@ def _doubt(group: Sequence[Opinion], singles: list[Without], liars: int) -> Doub
 
 
 def _leaving_one_out(group: Sequence[Opinion]) -> Iterator[Without]:
-    """The others are summed, not taken from the sum of all: next to one that boasts nothing would be left of them."""
+    """The others are summed, not taken from the sum of all: next to an origin that claims a tiny covariance, rounding
+    would leave nothing of them."""
     before, after = _partial_sums(group)
     for j, opinion in enumerate(group):
         information, vector = _both(before[j], after[j + 1])
@@ -198,14 +199,14 @@ def _partial_sums(group: Sequence[Opinion]) -> tuple[list[Word], list[Word]]:
     return before, after[::-1]
 
 
-# --- the vote -------------------------------------------------------------------------------------------------
+# --- the vote ---
 
 
 def vote(opinions: Sequence[Opinion]) -> Ballot:
-    """Who agrees with whom, of opinions given in the order of their names; at least one.
+    """Which opinions agree, of opinions given in the order of their names; at least one.
 
     The most numerous group wins; of equals the one that is closest in itself, by the mean distance of its pairs:
-    to be sure of oneself is no merit here, or a liar would only have to boast.
+    small covariances are no merit here, or a liar would only have to claim them.
     """
     groups, distances2 = _consistent(opinions)
     most = max(map(len, groups))
@@ -278,13 +279,12 @@ def _sum(words: Iterable[Word]) -> Word:
     return total
 
 
-# @@ track_distance
+# --- distance of a track from the others ---
 # How far each track stands from all the others, in place and velocity together.
 #
-# Where a track says the target is now may be vague, and still it knows a line through place and velocity well: from
-# one sure sample a while ago. In the agreed track, whose velocity the others know, that sample is as sure as ever. So
-# a robot that stands near the others by its place alone, because it knows little of it, may stand far from them by
-# both.
+# Where a track says the target is now may be vague, and still it knows a line through place and velocity well: from one
+# sure sample a while ago. In the agreed track, whose velocity the others know, that sample is as sure as ever. So a
+# robot that stands near the others by its place alone, because it knows little of it, may stand far from them by both.
 #
 # A track's covariance is taken in blocks of 3x3, P = [[A, C], [C^T, D]], and inverted by Schur's complement of D.
 
@@ -311,7 +311,8 @@ NOTHING = TrackWord(Blocks(ZERO, (0.0,) * 9, ZERO), (0.0, 0.0, 0.0), (0.0, 0.0, 
 
 
 def distances2(tracks: Mapping[str, Track]) -> dict[str, float]:
-    """d^2 of each track of one moment from the mean of the others, in units in which LOW is what is seldom passed."""
+    """d^2 of each track of one moment from the mean of the others, scaled so that honest tracks pass LOW as seldom as
+    honest places do."""
     if len(tracks) < DOUBTED:
         return {}
     words = [_track_word(track) for track in tracks.values()]

@@ -1,7 +1,8 @@
 """What every protocol offers to the kernel, in the paper's words: x̂ is the prior, x the posterior, S the valid set.
 
-An estimator belongs to one robot and one target. Its life is a circle: `hear` what neighbours said, `tick` once an
-iteration, `say` the outcome to each neighbour, as often as the link allows.
+An estimator belongs to one robot and one target. It repeats one cycle: `hear` what neighbours said, `tick` once an
+iteration, `say` the outcome to each neighbour, as often as the link allows. The mailbox holds what neighbours said last
+of the target.
 """
 
 from __future__ import annotations
@@ -11,52 +12,6 @@ from typing import NamedTuple, Protocol
 
 from agent.core.messages import Estimate, Explain, Gossip, Symmetric, Vector
 from agent.core.trust import Letter, Letters
-
-# @@ mailbox
-# What neighbours said last of one target, and which of them can be used.
-
-LATEST_T = 10**8  # iterations; a year has a third of it at one a second
-
-
-class Mailbox(Letters[Estimate]):
-    """Newest letter per neighbour about one target; refuses what cannot be a neighbour's next word."""
-
-    def __init__(self, fleet: str, me: str, target: str, neighbours: tuple[str, ...]) -> None:
-        super().__init__(fleet, me, neighbours)
-        self._target = target
-
-    def _addressed(self, message: Estimate) -> bool:
-        return super()._addressed(message) and message.target == self._target
-
-    def usable(self, now_ns: int, validity_ns: int) -> tuple[tuple[str, Estimate], ...]:
-        """N_i ∩ S^t: neighbours heard of late that see the target, in the order of their names."""
-        found = []
-        for name, sender in self.senders.items():
-            age_ns = self.age_ns(name, now_ns)
-            if sender.newest is not None and age_ns is not None and age_ns <= validity_ns:
-                estimate = sender.newest.message
-                if estimate.valid and estimate.x_m is not None:
-                    found.append((name, estimate))
-        return tuple(found)
-
-    def ages_s(self, now_ns: int) -> dict[str, float]:
-        """How old the newest word of each neighbour is; those that never spoke are left out."""
-        ages_ns = {name: self.age_ns(name, now_ns) for name in self.senders}
-        return {name: age_ns * 1e-9 for name, age_ns in ages_ns.items() if age_ns is not None}
-
-    def swarm_t(self, now_ns: int, validity_ns: int) -> int:
-        """The iteration that the swarm has reached: the second largest of neighbours heard of late, for one of them may
-        lie, or that of the only neighbour that there is; 0 when too few are heard."""
-        reached = sorted(
-            sender.newest.message.t
-            for name, sender in self.senders.items()
-            if sender.newest is not None and (self.age_ns(name, now_ns) or 0) <= validity_ns
-        )
-        needed = min(2, len(self.senders))
-        return min(reached[-needed], LATEST_T) if reached and len(reached) >= needed else 0
-
-
-# @@ interface
 
 NOTHING: Symmetric = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -76,7 +31,7 @@ class Prior(NamedTuple):
 
 
 class Bearing(NamedTuple):
-    """What a frame says of a target that is not swept: a line that it is on (bearing.py), world frame."""
+    """What a frame says of a target that is not swept: a line that it is on (target_state.bearing), world frame."""
 
     x_m: Vector  # on the line, at the range that is believed
     information: Symmetric  # 1/m^2, of rank 2; 3 where a range was measured too
@@ -88,7 +43,7 @@ class Posterior(NamedTuple):
 
     x_m: Vector
     cov_m2: Symmetric
-    v_m_s: Vector = (0.0, 0.0, 0.0)  # where the protocol tells motion from rest; never said to anybody
+    v_m_s: Vector = (0.0, 0.0, 0.0)  # where the protocol tells motion from rest; never sent
     t_ns: int = 0  # of a target that moves: when it was there
 
 
@@ -112,7 +67,9 @@ class Word(NamedTuple):
 
 
 class Estimator(Protocol):
-    t: int
+    """The protocol of one robot for one target."""
+
+    t: int  # iteration
     valid: bool  # in S^t: the last iteration had a prior
 
     @property
@@ -120,20 +77,64 @@ class Estimator(Protocol):
         """x by all that was heard and measured so far, or since the last iteration where the protocol says so."""
 
     def by_others(self) -> Posterior | None:
-        """Where a target at rest is without anything that this robot measured; None where nobody else did, where others
-        contradict each other, or where the protocol cannot take one's own word out again."""
+        """Where a target at rest is without anything that this robot measured; None where no other robot
+        did, where others contradict each other, or where the protocol cannot leave out the robot's own part."""
 
     def trust(self, keys: Mapping[str, bytes]) -> None:
-        """The public keys of the robots, as they are from now on. Where this was never called nothing is signed."""
+        """Take over the public keys of the robots. Where this was never called nothing is signed."""
 
     def adopt(self, t: int) -> None:
         """A neighbour is at iteration t: late and restarted robots catch up with the swarm's index."""
 
     def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
-        """Take in a message that the mailbox accepted. Returns the kinds of what in it was not believed."""
+        """Take in a message that the mailbox accepted. Returns the kinds of refusal of what in it was not believed."""
 
     def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
         """One iteration: the newest usable word of each neighbour and, if the target was seen, a prior."""
 
     def say(self, to: str, now_ns: int) -> Word:
         """What to tell this neighbour now. Time never decreases from call to call."""
+
+
+# --- mailbox ---
+# What neighbours said last of one target, and which of them can be used.
+
+LATEST_T = 10**8  # iterations; a year has a third of it at one a second
+
+
+class Mailbox(Letters[Estimate]):
+    """The newest message of each neighbour about one target; refuses what cannot be its next one."""
+
+    def __init__(self, fleet: str, me: str, target: str, neighbours: tuple[str, ...]) -> None:
+        super().__init__(fleet, me, neighbours)
+        self._target = target
+
+    def _addressed(self, message: Estimate) -> bool:
+        return super()._addressed(message) and message.target == self._target
+
+    def usable(self, now_ns: int, validity_ns: int) -> tuple[tuple[str, Estimate], ...]:
+        """N_i ∩ S^t: neighbours heard of late that see the target, in the order of their names."""
+        found = []
+        for name, sender in self.senders.items():
+            age_ns = self.age_ns(name, now_ns)
+            if sender.newest is not None and age_ns is not None and age_ns <= validity_ns:
+                estimate = sender.newest.message
+                if estimate.valid and estimate.x_m is not None:
+                    found.append((name, estimate))
+        return tuple(found)
+
+    def ages_s(self, now_ns: int) -> dict[str, float]:
+        """How old the newest message of each neighbour is; those that never spoke are left out."""
+        ages_ns = {name: self.age_ns(name, now_ns) for name in self.senders}
+        return {name: age_ns * 1e-9 for name, age_ns in ages_ns.items() if age_ns is not None}
+
+    def swarm_t(self, now_ns: int, validity_ns: int) -> int:
+        """The iteration that the swarm has reached: the second largest of neighbours heard of late, for one of them may
+        lie, or that of the only neighbour that there is; 0 when too few are heard."""
+        reached = sorted(
+            sender.newest.message.t
+            for name, sender in self.senders.items()
+            if sender.newest is not None and (self.age_ns(name, now_ns) or 0) <= validity_ns
+        )
+        needed = min(2, len(self.senders))
+        return min(reached[-needed], LATEST_T) if reached and len(reached) >= needed else 0

@@ -1,4 +1,7 @@
-"""What the two modes of `evidence`, for a target at rest and for one that moves, have in common."""
+"""What the two modes of `evidence`, for a target at rest and for one that moves, have in common.
+
+`Mode` is their interface. `Motion` decides which of the two it is, `DeliveryLedger` what a neighbour still has to get.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,80 @@ from agent.core.messages import Explain, Gossip, Holding, Symmetric, Vector
 from agent.core.step_transaction import Revertible
 from agent.core.trust import CLOCKS_NS, Authority
 
-# @@ motion
+SEEN_NS = 20_000_000_000  # a robot that measured this lately sees the target
+
+
+class Me(NamedTuple):
+    """What a robot knows of itself and its fleet before it measures anything."""
+
+    key: tuple[str, int]  # name, and which of its starts this is, or of its entries if it began anew since
+    neighbours: tuple[str, ...]
+    bounds: Bounds
+    max_entries: int  # in one message
+    common_m2: Symmetric  # covariance of errors that all robots share
+    authority: Authority
+    subject: tuple[str, str]  # fleet and target, as they are signed
+    liars: int = 1  # robots that may be wrong at once
+    dynamics: Dynamics = ROLLING  # of a target that moves
+
+
+class Conclusion(NamedTuple):
+    """Outcome of one iteration; the fields are those of interface.Update."""
+
+    posterior: Posterior | None
+    rule: str
+    alpha: float
+    explain: Explain
+    doubts_itself: bool = False  # it is more likely than not that our own samples are wrong
+
+
+class Mode(Protocol):
+    """Keeps the evidence of one epoch."""
+
+    outlived: int | None  # an incarnation of ours that is newer than the one we write under
+
+    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> Innovation | None:
+        """Take in an own sample; returns its innovation, None where nothing was expected."""
+
+    def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
+        """Take in what a neighbour passed on at `arrived_ns`; returns the kinds of what was not believed."""
+
+    def began(self, me: Me) -> None:
+        """We write under another incarnation from now on."""
+
+    def distrust(self, origins: Collection[str]) -> None:
+        """Drop all evidence of these origins."""
+
+    def seeing(self, now_ns: int) -> int:
+        """How many robots are known to have seen the target of late."""
+
+    def restarted(self, src: str) -> None:
+        """A neighbour started again, and holds nothing."""
+
+    def say(self, to: str, now_ns: int) -> Gossip:
+        """What this neighbour does not have yet, as far as fits."""
+
+    def by_others(self) -> Posterior | None:
+        """Where the target rests, all our own samples left out; see interface.Estimator."""
+
+    def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
+        """Where the target is by all that is held. `before`: the posterior until now."""
+
+
+def outliving(known: int | None, incarnation: int, me: Me, now_ns: int) -> int | None:
+    """The newest incarnation of ours that is later than the one we write under, after this one was heard of.
+
+    That is an earlier start of ours, by a clock that was ahead: ours has to begin after it, or is taken for the older.
+    """
+    return max(known or 0, incarnation) if me.key[1] < incarnation <= now_ns + CLOCKS_NS else known
+
+
+# --- rest or motion ---
 # Does the target rest or move? Each robot asks its own samples, and tells the others what it found.
 #
-# At rest the normalised innovations squared of own samples against the mean of the own samples before them follow
-# chi^2 with 3 degrees of freedom each. The own mean is the yardstick, not the agreed place: a robot that is wrong is
-# wrong in both, and raises no alarm. Moving turns to rest when the track has stayed in one place for half a minute.
+# At rest the normalised innovations squared of own samples against the mean of the own samples before them follow chi^2
+# with 3 degrees of freedom each. The reference is the own mean, not the agreed place: a robot that is wrong is wrong in
+# both, and raises no alarm. Moving turns to rest when the track has stayed in one place for half a minute.
 #
 # Samples that scatter by more than they say make this sum large as well; in murky water they do so for as long as a
 # dive lasts. So the sum of a batch is taken apart, with d the innovations, S their covariances and m the mean of the
@@ -53,7 +124,7 @@ class Motion(Revertible):
     def __init__(self) -> None:
         self._batch: list[Innovation] = []
         self._alarms = 0
-        self._normal = False  # the last full batch was as innocent as it should be
+        self._normal = False  # the last full batch scattered no more than it should
         self._path: deque[tuple[int, Vector]] = deque()
 
     def sample(self, innovation: Innovation) -> None:
@@ -77,7 +148,7 @@ class Motion(Revertible):
         return self._alarms >= 2
 
     def rests(self, now_ns: int) -> bool:
-        """Whether the track went nowhere for half a minute, and own samples agree with it."""
+        """Whether the track stayed in one place for half a minute, and own samples agree with it."""
         if not self._normal or not self._path or now_ns - self._path[0][0] < RESTED_NS:
             return False
         here, reach = self._path[-1][1], REST_SPEED_M_S * RESTED_NS * 1e-9
@@ -85,83 +156,13 @@ class Motion(Revertible):
 
 
 def _of_mean(batch: list[Innovation]) -> float:
-    """The part of the sum that the mean of the batch has."""
+    """The part of the sum that is due to the mean of the batch."""
     known = [(invert(each.covariance_m2), each.step_m) for each in batch]
     information, vector = summed([(precision, apply(precision, step_m)) for precision, step_m in known])
     return quadratic(invert(information), vector)
 
 
-# @@ mode
-
-SEEN_NS = 20_000_000_000  # a robot that measured this lately sees the target
-
-
-class Me(NamedTuple):
-    """What a robot knows of itself and its surroundings before it measures anything."""
-
-    key: tuple[str, int]  # name, and which of its starts this is, or of its entries if it began anew since
-    neighbours: tuple[str, ...]
-    bounds: Bounds
-    max_entries: int  # in one message
-    common_m2: Symmetric  # covariance of errors that all robots share
-    authority: Authority
-    subject: tuple[str, str]  # fleet and target, as they are signed
-    liars: int = 1  # robots that may be wrong at once
-    dynamics: Dynamics = ROLLING  # of a target that moves
-
-
-class Conclusion(NamedTuple):
-    """Outcome of one iteration; the fields are those of interface.Update."""
-
-    posterior: Posterior | None
-    rule: str
-    alpha: float
-    explain: Explain
-    doubts_itself: bool = False  # it is more likely than not that our own word is wrong
-
-
-class Mode(Protocol):
-    """Keeps the evidence of one epoch."""
-
-    outlived: int | None  # an incarnation of ours that is newer than the one we write under
-
-    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> Innovation | None:
-        """Take in an own sample; returns its innovation, None where nothing was expected."""
-
-    def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
-        """Take in what a neighbour passed on at `arrived_ns`; returns the kinds of what was not believed."""
-
-    def began(self, me: Me) -> None:
-        """We write under another incarnation from now on."""
-
-    def distrust(self, origins: Collection[str]) -> None:
-        """Nothing of these counts any more."""
-
-    def seeing(self, now_ns: int) -> int:
-        """How many robots are known to have seen the target of late."""
-
-    def restarted(self, src: str) -> None:
-        """A neighbour started again: it holds nothing any more."""
-
-    def say(self, to: str, now_ns: int) -> Gossip:
-        """What this neighbour does not have yet, as far as fits."""
-
-    def by_others(self) -> Posterior | None:
-        """Where the target rests, all our own samples left out; interface.Estimator."""
-
-    def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
-        """Where the target is by all that is held. `before`: the posterior until now."""
-
-
-def outliving(known: int | None, incarnation: int, me: Me, now_ns: int) -> int | None:
-    """The newest incarnation of ours that is later than the one we write under, after this one was heard of.
-
-    An earlier life of ours, by a clock that was ahead: ours has to begin after it, or is taken for the older.
-    """
-    return max(known or 0, incarnation) if me.key[1] < incarnation <= now_ns + CLOCKS_NS else known
-
-
-# @@ delivery_ledger
+# --- delivery ledger ---
 # What one neighbour is known to hold, and what it is still owed.
 #
 # Nothing is taken for delivered because it was sent. A version counts as held once the neighbour shows it, in its
@@ -189,7 +190,7 @@ class DeliveryLedger(Revertible, Generic[Key]):
         self._digested = None
 
     def acknowledge(self, key: Key, version: int) -> None:
-        """The neighbour's word on what it holds; later words replace earlier ones, downwards too."""
+        """The neighbour says what it holds; what it says later replaces that, downwards too."""
         self._held[key] = version
 
     def pending(self, versions: Mapping[Key, int], own: tuple[str, int], limit: int) -> list[Key]:

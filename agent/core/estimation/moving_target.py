@@ -1,9 +1,9 @@
 """The target moves: single samples are passed on with their ages, and the posterior is the track through them.
 
-Who is wrong is found as at rest: each robot's own samples make a track of its own, the tracks vote (fuse.py), and the
-agreed track runs over the samples of those that agree, raw as they came. Where one of these stands out, tracks without
-it are mixed in as fuse.py mixes places. Tracks of one target share its accelerations, so they differ by less than
-their covariances say, and vote and doubt are rather too patient than too strict.
+A robot that is wrong is found as at rest: each robot's own samples make a track of its own, the tracks vote (fuse.py),
+and the agreed track runs over the samples of those that agree, raw as they came. Where one of these stands out, tracks
+without it are mixed in as `fuse` mixes places. Tracks of one target share its accelerations, so they differ by less
+than their covariances say, and vote and doubt are rather too patient than too strict.
 """
 
 from __future__ import annotations
@@ -22,115 +22,7 @@ from agent.core.messages import Epoch, Explain, Gossip, Holding, Sample, Symmetr
 from agent.core.step_transaction import Revertible
 from agent.core.trust import HEARSAY, OriginClocks, sample_bytes
 
-# @@ window
-# The newest samples of every robot, for a target that moves: what is passed on, and what a track is made of.
-#
-# A sample may arrive late and out of order, over other robots. One that comes after its moment has left the window
-# (fixed_lag_filter.py) is of no use any more, neither here nor to a neighbour.
-#
-# Clocks need not agree. A sample carries its age; every robot that passes it on adds the time it lay there, and the
-# mailbox adds the time it lay in a queue. It also carries when it was taken on its origin's clock, which no relay can
-# change: what we learn of that clock from one sample holds for the next (origin_clocks.py).
-
-Key = tuple[str, int, int]  # origin, incarnation, number
-
-WINDOW = 24  # length in iterations: the way across a swarm of some ten hops when a third of all messages is lost
-KEPT = 48  # samples of one robot, those with the largest numbers: twice what an honest one has in a window
-MASK = 32  # samples before the newest that one line of a digest can tell of; more than a window holds
-
-
-class Window(Revertible):
-    """All samples of one epoch of one target that can still matter."""
-
-    def __init__(self, bounds: Bounds) -> None:
-        self._bounds = bounds
-        self._span_ns = WINDOW * bounds.iteration_ns
-        self.samples: dict[Key, Held] = {}
-        self._clocks = OriginClocks()
-        self._frozen_ns = -(10**30)  # samples up to this moment are in the frozen tracks, or too late
-
-    def measure(self, key: Key, held: Held) -> None:
-        """Add a sample of our own."""
-        if held.t_ns > self._frozen_ns:
-            self.samples[key] = held
-
-    def fault(self, sample: Sample, arrived_ns: int) -> str | None:
-        """Why a sample that left its sender at `arrived_ns` of our clock is of no use, whoever says it."""
-        fault = sample_fault(sample, self._bounds, arrived_ns)
-        if fault is None and arrived_ns - sample.age_ns <= self._frozen_ns:
-            return "too late"
-        return fault
-
-    def earlier(self, sample: Sample, arrived_ns: int) -> None:
-        """The same sample over another way. Only where its origin's clock was not told the age decides."""
-        key, t_ns = (sample.origin, sample.incarnation, sample.number), arrived_ns - sample.age_ns
-        old = self.samples[key]
-        if not old.exposed_ns and self._frozen_ns < t_ns < old.t_ns:
-            self.samples[key] = old._replace(t_ns=t_ns)
-
-    def merge(self, sample: Sample, arrived_ns: int, direct: bool) -> str | None:
-        """Take in a sample that is believed; returns why it is of no use, if it is not. direct: from its own robot."""
-        t_ns = arrived_ns - sample.age_ns
-        if sample.t_ns:
-            offset_ns = self._clocks.offset_ns(sample.origin, t_ns - sample.t_ns, direct, arrived_ns)
-            t_ns = min(sample.t_ns + offset_ns, arrived_ns)
-        if t_ns <= self._frozen_ns:
-            return "too late"
-        key = (sample.origin, sample.incarnation, sample.number)
-        self.samples[key] = Held(t_ns, sample.information, sample.vector, sample.t_ns, sample.signature)
-        numbers = sorted(k for k in self.samples if k[0] == sample.origin)
-        for old in numbers[:-KEPT]:
-            del self.samples[old]
-        return None
-
-    def drop(self, origins: Collection[str]) -> None:
-        """Nothing of these counts any more."""
-        self.samples = {key: held for key, held in self.samples.items() if key[0] not in origins}
-
-    def fresh(self) -> dict[str, list[Held]]:
-        """Samples of each origin since the horizon, in the order of their names and numbers."""
-        found: dict[str, list[Held]] = {}
-        for key in sorted(self.samples):
-            if self.samples[key].t_ns > self._frozen_ns:
-                found.setdefault(key[0], []).append(self.samples[key])
-        return found
-
-    def horizon_ns(self, now_ns: int) -> int:
-        """Where the window begins."""
-        return now_ns - self._span_ns
-
-    def freeze(self, horizon_ns: int) -> None:
-        """The window begins here from now on; what is older has its place in the tracks."""
-        self._frozen_ns = max(self._frozen_ns, horizon_ns)
-        # Frozen samples stay listed for another window: neighbours that still hold them must not send them again.
-        oldest_ns = horizon_ns - self._span_ns
-        self.samples = {key: held for key, held in self.samples.items() if held.t_ns > oldest_ns}
-
-    def sendable(self, now_ns: int) -> dict[Key, int]:
-        """Samples that a neighbour may still use, newest first."""
-        fresh = [key for key, held in self.samples.items() if held.t_ns > self.horizon_ns(now_ns)]
-        return {key: 1 for key in sorted(fresh, key=lambda key: (-self.samples[key].t_ns, key))}
-
-    def sample(self, key: Key, now_ns: int) -> Sample:
-        """A sample as it leaves now."""
-        held = self.samples[key]
-        age_ns = max(0, now_ns - held.t_ns)
-        return Sample(*key, age_ns, held.information, held.vector, held.exposed_ns, held.signature)
-
-    def digest(self) -> list[Holding]:
-        """One line for each origin and incarnation."""
-        numbers: dict[tuple[str, int], list[int]] = {}
-        for origin, incarnation, number in sorted(self.samples):
-            numbers.setdefault((origin, incarnation), []).append(number)
-        return [
-            Holding(*who, held[-1], sum(1 << (held[-1] - 1 - k) for k in held[:-1] if held[-1] - 1 - k < MASK))
-            for who, held in numbers.items()
-        ]
-
-
-# @@ moving_target
-
-MATTERS = 0.02  # weight of a track without somebody below which it is not worth running
+MATTERS = 0.02  # weight of a track without some robot, below which it is not worth running
 SENT = 48  # samples in one message at most, 185 bytes each: half of what a message may hold
 
 
@@ -154,9 +46,9 @@ class MovingTarget(Revertible):
     def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> Innovation | None:
         """Take in an own sample. Returns its innovation against the own track so far.
 
-        A track remembers one or two samples of each robot at a sample a second, so what does not average out has no
-        time to seem to: random and systematic covariance count together. (Normalised error squared on the experiment's
-        circle, with systematic errors: 2.7 for ten robots, 2.95 for three.)
+        A track remembers one or two samples of each robot at a sample a second, so the systematic error has no time to
+        look as if it averaged out: random and systematic covariance count together. (Normalised error squared on the
+        experiment's circle, with systematic errors: 2.7 for ten robots, 2.95 for three.)
         """
         if isinstance(prior, Bearing):
             self._add_bearing(number, prior)
@@ -174,7 +66,7 @@ class MovingTarget(Revertible):
         return innovation
 
     def _add_bearing(self, number: int, bearing: Bearing) -> None:
-        """Nothing to ask for rest and motion: its innovation has fewer degrees of freedom."""
+        """Take in a bearing. It is no test of rest and motion: its innovation has fewer degrees of freedom."""
         self._nis = None
         if self._mine is not None:
             mine = predict(self._mine, bearing.t_ns, self._me.dynamics)
@@ -214,7 +106,7 @@ class MovingTarget(Revertible):
         authority, own = self._me.authority, self._me.key
         if sample.origin == own[0] and (sample.incarnation >= own[1] or authority.keys is None):
             self.outlived = outliving(self.outlived, sample.incarnation, self._me, now_ns)
-            return "own name"  # nobody else makes one; one of ours that we have let go is of no use any more
+            return "own name"  # no other robot makes one; one of ours that we have let go is of no use any more
         says = partial(sample_bytes, *self._me.subject, self._epoch, sample)
         fault = self._window.fault(sample, now_ns)
         return fault or authority.fault(src, sample.origin, sample.signature, says, now_ns)
@@ -282,10 +174,10 @@ class MovingTarget(Revertible):
         return Conclusion(posterior, "track", alpha, explain)
 
     def by_others(self) -> Posterior | None:
-        return None  # where it will be is known less well than where one is oneself
+        return None  # a place that the target moves on from is known less well than the robot's own
 
     def _tracks(self, fresh: dict[str, list[Held]], horizon_ns: int, now_ns: int) -> dict[str, Track]:
-        """Of each origin by its own samples alone, as of now."""
+        """The track of each origin by its own samples alone, as of now."""
         self._own = {origin: self._own.get(origin, self._filter()) for origin in fresh}
         tracks = {origin: self._own[origin].run(held, horizon_ns, now_ns) for origin, held in fresh.items()}
         self._mine = tracks.get(self._me.key[0])
@@ -312,7 +204,7 @@ def _posterior(track: Track) -> Posterior:
 def _doubted(
     track: Track, doubt: Doubt, fresh: dict[str, list[Held]], new_filter: Callable[[], FixedLagFilter], now_ns: int
 ) -> Posterior:
-    """The agreed track, and where somebody stands out the tracks without it, through what the window still holds.
+    """The agreed track, and where a robot stands out the tracks without it, through what the window still holds.
 
     What is older than the window has faded, and a track of others cannot be taken out of it any more.
     """
@@ -334,3 +226,109 @@ def _shares(fresh: dict[str, list[Held]], factors: dict[str, float]) -> dict[str
     sizes = {name: factors[name] * math.fsum(trace(held.information) for held in fresh[name]) for name in factors}
     total = math.fsum(sizes.values())
     return {name: size / total for name, size in sizes.items()}
+
+
+# --- window of samples ---
+# The newest samples of every robot, for a target that moves: what is passed on, and what a track is made of.
+#
+# A sample may arrive late and out of order, over other robots. One that comes after its moment has left the window
+# (`FixedLagFilter`) is of no use any more, neither here nor to a neighbour.
+#
+# Clocks need not agree. A sample carries its age; every robot that passes it on adds the time it lay there, and the
+# mailbox adds the time it lay in a queue. It also carries when it was taken on its origin's clock, which no relay can
+# change: what we learn of that clock from one sample holds for the next (`OriginClocks`).
+
+Key = tuple[str, int, int]  # origin, incarnation, number
+
+WINDOW = 24  # length in iterations: the way across a swarm of some ten hops when a third of all messages is lost
+KEPT = 48  # samples of one robot, those with the largest numbers: twice what an honest one has in a window
+MASK = 32  # samples before the newest that one line of a digest can tell of; more than a window holds
+
+
+class Window(Revertible):
+    """All samples of one epoch of one target that can still matter."""
+
+    def __init__(self, bounds: Bounds) -> None:
+        self._bounds = bounds
+        self._span_ns = WINDOW * bounds.iteration_ns
+        self.samples: dict[Key, Held] = {}
+        self._clocks = OriginClocks()
+        self._frozen_ns = -(10**30)  # samples up to this moment are in the frozen tracks, or too late
+
+    def measure(self, key: Key, held: Held) -> None:
+        """Add a sample of our own."""
+        if held.t_ns > self._frozen_ns:
+            self.samples[key] = held
+
+    def fault(self, sample: Sample, arrived_ns: int) -> str | None:
+        """Why a sample that left its sender at `arrived_ns` of our clock is of no use, from any source."""
+        fault = sample_fault(sample, self._bounds, arrived_ns)
+        if fault is None and arrived_ns - sample.age_ns <= self._frozen_ns:
+            return "too late"
+        return fault
+
+    def earlier(self, sample: Sample, arrived_ns: int) -> None:
+        """Take note of a copy of a sample. A larger age counts, where the sample has no time by its origin's clock."""
+        key, t_ns = (sample.origin, sample.incarnation, sample.number), arrived_ns - sample.age_ns
+        old = self.samples[key]
+        if not old.exposed_ns and self._frozen_ns < t_ns < old.t_ns:
+            self.samples[key] = old._replace(t_ns=t_ns)
+
+    def merge(self, sample: Sample, arrived_ns: int, direct: bool) -> str | None:
+        """Take in a sample that is believed; returns why it is of no use, if it is not. direct: from its own robot."""
+        t_ns = arrived_ns - sample.age_ns
+        if sample.t_ns:
+            offset_ns = self._clocks.offset_ns(sample.origin, t_ns - sample.t_ns, direct, arrived_ns)
+            t_ns = min(sample.t_ns + offset_ns, arrived_ns)
+        if t_ns <= self._frozen_ns:
+            return "too late"
+        key = (sample.origin, sample.incarnation, sample.number)
+        self.samples[key] = Held(t_ns, sample.information, sample.vector, sample.t_ns, sample.signature)
+        numbers = sorted(k for k in self.samples if k[0] == sample.origin)
+        for old in numbers[:-KEPT]:
+            del self.samples[old]
+        return None
+
+    def drop(self, origins: Collection[str]) -> None:
+        """Drop all samples of these origins."""
+        self.samples = {key: held for key, held in self.samples.items() if key[0] not in origins}
+
+    def fresh(self) -> dict[str, list[Held]]:
+        """Samples of each origin since the horizon, in the order of their names and numbers."""
+        found: dict[str, list[Held]] = {}
+        for key in sorted(self.samples):
+            if self.samples[key].t_ns > self._frozen_ns:
+                found.setdefault(key[0], []).append(self.samples[key])
+        return found
+
+    def horizon_ns(self, now_ns: int) -> int:
+        """Where the window begins."""
+        return now_ns - self._span_ns
+
+    def freeze(self, horizon_ns: int) -> None:
+        """The window begins here from now on; what is older has its place in the tracks."""
+        self._frozen_ns = max(self._frozen_ns, horizon_ns)
+        # Frozen samples stay listed for another window: neighbours that still hold them must not send them again.
+        oldest_ns = horizon_ns - self._span_ns
+        self.samples = {key: held for key, held in self.samples.items() if held.t_ns > oldest_ns}
+
+    def sendable(self, now_ns: int) -> dict[Key, int]:
+        """Samples that a neighbour may still use, newest first."""
+        fresh = [key for key, held in self.samples.items() if held.t_ns > self.horizon_ns(now_ns)]
+        return {key: 1 for key in sorted(fresh, key=lambda key: (-self.samples[key].t_ns, key))}
+
+    def sample(self, key: Key, now_ns: int) -> Sample:
+        """A sample as it leaves now."""
+        held = self.samples[key]
+        age_ns = max(0, now_ns - held.t_ns)
+        return Sample(*key, age_ns, held.information, held.vector, held.exposed_ns, held.signature)
+
+    def digest(self) -> list[Holding]:
+        """One line for each origin and incarnation."""
+        numbers: dict[tuple[str, int], list[int]] = {}
+        for origin, incarnation, number in sorted(self.samples):
+            numbers.setdefault((origin, incarnation), []).append(number)
+        return [
+            Holding(*who, held[-1], sum(1 << (held[-1] - 1 - k) for k in held[:-1] if held[-1] - 1 - k < MASK))
+            for who, held in numbers.items()
+        ]

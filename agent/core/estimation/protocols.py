@@ -1,4 +1,6 @@
-"""Which protocol a fleet speaks: `fleet.estimation.protocol` -> an estimator for one robot and one target."""
+"""The protocols `paper` and `metropolis`, and the choice of one: `fleet.estimation.protocol` gives an estimator for one
+robot and one target. The third protocol, `evidence`, is in evidence.py.
+"""
 
 from __future__ import annotations
 
@@ -15,18 +17,75 @@ from agent.core.messages import Estimate, Explain, Symmetric, Vector
 from agent.core.step_transaction import Revertible
 from agent.core.trust import Letter, Verify, verify_signature
 
-# @@ paper
+# --- choice of the protocol ---
+
+PURSUIT_S = 0.1  # an iteration with a target that is pursued: a frame at 10 Hz, and a window of two and a half seconds
+
+
+def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Verify = verify_signature) -> Estimator:
+    """A fresh estimator of `target` for the robot `me`; `incarnation` tells this start from the ones before.
+
+    verify: how the signatures of others are checked; an experiment may take a check that is right and costs no time.
+    """
+    assert target in fleet.target
+    validity_ns = round(fleet.estimation.validity_s * 1e9)
+    neighbours = fleet.robot[me].neighbours
+    match fleet.estimation.protocol:
+        case "paper":
+            return Paper(validity_ns)
+        case "metropolis":
+            return Metropolis(me, validity_ns, len(neighbours), fleet.estimation.clip)
+        case "evidence":
+            bounds = Bounds(frozenset(fleet.robot), fleet.tank.size_m, iteration_ns(fleet, target))
+            return Evidence(
+                me,
+                incarnation,
+                neighbours,
+                validity_ns,
+                bounds,
+                liars=fleet.estimation.liars,
+                subject=(fleet.fleet, target),
+                verify=verify,
+                dynamics=dynamics(fleet.target[target]),
+            )
+
+
+def iteration_ns(fleet: Fleet, target: str) -> int:
+    """The period of the protocol's iterations with that target, the same on all robots."""
+    iteration_s = fleet.estimation.iteration_s
+    return round(1e9 * (min(iteration_s, PURSUIT_S) if target in pursued(fleet) else iteration_s))
+
+
+def pursued(fleet: Fleet) -> tuple[str, ...]:
+    """Targets that swim and that a robot of the fleet is to follow or to search for: their frames give bearings. Only
+    the protocol `evidence` takes these."""
+    if fleet.estimation.protocol != "evidence":
+        return ()
+    told = {robot.behaviour.target for robot in fleet.robot.values() if isinstance(robot.behaviour, Follow | Search)}
+    return tuple(name for name, target in fleet.target.items() if name in told and target.speed_m_s is not None)
+
+
+def dynamics(target: Target) -> Dynamics:
+    """How the target moves by the fleet file; where that says nothing, like a ball."""
+    if target.speed_m_s is None or target.turn_s is None:
+        return ROLLING
+    return swimming(target.speed_m_s, target.turn_s)
+
+
+# --- paper ---
 # The paper's protocol, equation (ac) and Algorithm 1 read literally (arXiv 2506.09876, section 4).
 #
 # x_i^{t+1} = sum_{j in N_i ∩ S^t} (1 - alpha) w_ij x_j^t  +  alpha x̂_i^t
 #
 # with w_ij = 1 / |N_i ∩ S^t| and alpha = 1 / (t + 1), both left open by the paper. Its flaws are kept: robots do not
-# average with themselves, and one that sees the target but hears nobody starts again from its newest sample. Where
+# average with themselves, and one that sees the target but hears no other starts again from its newest sample. Where
 # the paper demands two things at once (blind, and no valid neighbour) the robot holds what it has.
 #
-# It withstands neither lost messages nor a robot that is wrong. A neighbour's word is believed wherever it is, so one
-# that lies takes all with it, as far as the tank reaches; who sees the target has only alpha against it, which
-# shrinks.
+# It withstands neither lost messages nor a robot that is wrong. The place that a neighbour states is believed wherever
+# it is, so one robot that lies takes all with it, as far as the tank reaches; a robot that sees the target has only
+# alpha against it, which shrinks.
+
+UNKNOWN: Symmetric = (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)  # 1 m: a neighbour that states no covariance
 
 
 class Paper(Revertible):
@@ -45,9 +104,9 @@ class Paper(Revertible):
         pass  # a belief has no origin that could sign it
 
     def adopt(self, t: int) -> None:
-        # One ahead is a neighbour in the same iteration that ticked first, and who follows ends up beside it, not in
-        # front: else robots would drive each other through more iterations than there are periods, and alpha would
-        # shrink before the samples are in.
+        # One ahead is a neighbour in the same iteration that ticked first, and a robot that follows ends up beside it,
+        # not in front: else robots would drive each other through more iterations than there are periods, and alpha
+        # would shrink before the samples are in.
         if t > self.t + 1:
             self.t = t - 1
 
@@ -78,9 +137,6 @@ class Paper(Revertible):
         return Update(self.t, rule, alpha, tuple(weights), explain)
 
 
-UNKNOWN: Symmetric = (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)  # 1 m: a neighbour that states no covariance
-
-
 def mix(said: Sequence[tuple[Posterior, float]], prior: Prior | None, alpha: float) -> Posterior:
     """(1 - alpha) sum w x + alpha x̂ over weights that sum to 1, and a covariance for it.
 
@@ -104,7 +160,7 @@ def _symmetric(v: Sequence[float]) -> Symmetric:
     return (v[0], v[1], v[2], v[3], v[4], v[5])
 
 
-# @@ metropolis
+# --- metropolis ---
 # `paper` with three repairs and nothing else: weights by degree, a self term, and no reset when alone.
 #
 # x_i^{t+1} = (1 - alpha) (w_ii x_i^t + sum_j w_ij x_j^t) + alpha x̂_i^t,   w_ij = 1 / (1 + max(d_i, d_j))
@@ -116,13 +172,13 @@ def _symmetric(v: Sequence[float]) -> Symmetric:
 # `paper` keeps.
 #
 # It withstands lost messages, and no robot that is wrong: x_j is believed wherever it is, so one that lies moves all,
-# by the lie itself within a minute, and for long afterwards. `clip` limits that. Each x_j is drawn in to x_i until
-# they are 3 sigma_i apart, and sigma_i^2 is the trace of the covariance that the own samples alone give their mean,
-# for that of x_i holds what neighbours claim. A lie then moves x_i by 3 w_ij sigma_i an iteration instead of any
-# distance: slower, not in vain, and what it did is forgotten with 1 / t. A robot that never saw the target has
+# by the lie itself within a minute, and for long afterwards. `clip` limits that. Each x_j is drawn in to x_i until they
+# are 3 sigma_i apart, and sigma_i^2 is the trace of the covariance that the own samples alone give their mean, for that
+# of x_i holds what neighbours claim. A lie then moves x_i by 3 w_ij sigma_i an iteration instead of any distance: it
+# moves x_i more slowly, but it still does, and its effect fades with 1 / t. A robot that never saw the target has
 # nothing to hold against it.
 
-CLIP = 3.0  # sigma of the own samples' mean: honest neighbours, who share most of their past, are nearer
+CLIP = 3.0  # sigma of the own samples' mean: honest neighbours share most of their past and are nearer
 
 
 class Metropolis(Revertible):
@@ -196,58 +252,3 @@ class Metropolis(Revertible):
     def _weight(self, estimate: Estimate) -> float:
         # A neighbour that does not state its degree is taken to have ours.
         return 1.0 / (1 + max(self._degree, estimate.degree or self._degree))
-
-
-# @@ choice
-
-PURSUIT_S = 0.1  # an iteration with a target that is pursued: a frame at 10 Hz, and a window of two and a half seconds
-
-
-def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Verify = verify_signature) -> Estimator:
-    """A fresh estimator of `target` for the robot `me`; `incarnation` tells this start from the ones before.
-
-    verify: how the signatures of others are checked; an experiment may take perfect ones that cost nothing.
-    """
-    assert target in fleet.target
-    validity_ns = round(fleet.estimation.validity_s * 1e9)
-    neighbours = fleet.robot[me].neighbours
-    match fleet.estimation.protocol:
-        case "paper":
-            return Paper(validity_ns)
-        case "metropolis":
-            return Metropolis(me, validity_ns, len(neighbours), fleet.estimation.clip)
-        case "evidence":
-            bounds = Bounds(frozenset(fleet.robot), fleet.tank.size_m, iteration_ns(fleet, target))
-            return Evidence(
-                me,
-                incarnation,
-                neighbours,
-                validity_ns,
-                bounds,
-                liars=fleet.estimation.liars,
-                subject=(fleet.fleet, target),
-                verify=verify,
-                dynamics=dynamics(fleet.target[target]),
-            )
-
-
-def iteration_ns(fleet: Fleet, target: str) -> int:
-    """The period of the protocol's iterations with that target, the same on all robots."""
-    iteration_s = fleet.estimation.iteration_s
-    return round(1e9 * (min(iteration_s, PURSUIT_S) if target in pursued(fleet) else iteration_s))
-
-
-def pursued(fleet: Fleet) -> tuple[str, ...]:
-    """Targets that swim and that a robot of the fleet is to follow or to search for: where its frames give bearings.
-    Of the protocols only evidence takes these."""
-    if fleet.estimation.protocol != "evidence":
-        return ()
-    told = {robot.behaviour.target for robot in fleet.robot.values() if isinstance(robot.behaviour, Follow | Search)}
-    return tuple(name for name, target in fleet.target.items() if name in told and target.speed_m_s is not None)
-
-
-def dynamics(target: Target) -> Dynamics:
-    """How the fleet file says that a target moves; not at all is: like a ball."""
-    if target.speed_m_s is None or target.turn_s is None:
-        return ROLLING
-    return swimming(target.speed_m_s, target.turn_s)

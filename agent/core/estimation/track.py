@@ -2,8 +2,8 @@
 
 State (x, v), covariance in blocks P = [[A, C], [C^T, D]] of 3x3; C is kept as its nine numbers, row by row.
 Between samples, over dt: x += v dt and P grows by Q = q [[dt^3/3, dt^2/2], [dt^2/2, dt]] in each axis (Bar-Shalom,
-Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 6.2.2); what turns, as
-dynamics.py has it.
+Li and Kirubarajan, Estimation with Applications to Tracking and Navigation, 2001, section 6.2.2); a target that turns
+follows the dynamics below.
 
 A correction takes any information Lam >= 0, such as a bearing's. Where Lam can well be inverted it is the textbook's,
 by its inverse R; else, with N = (I + A Lam)^-1 and e = Lam (z - x): A' = N A, C' = N C, D' = D - C^T Lam C', x += A' e,
@@ -22,6 +22,7 @@ from agent.core.linear_algebra import (
     ZERO,
     adjugate,
     apply,
+    inner,
     inverse,
     invert,
     minus,
@@ -34,12 +35,12 @@ from agent.core.linear_algebra import (
 from agent.core.messages import Symmetric, Vector
 from agent.core.step_transaction import Revertible
 
-# @@ dynamics
-# How a target moves when nobody looks: a velocity that wanders, for ever or only so far.
+# --- dynamics ---
+# How a target moves while it is not seen: a velocity that wanders, without bound or within one.
 #
 # In each axis dv = -v/T dt + sqrt(q) dW. Without T the velocity is a random walk, right for what rolls and drifts,
 # whose speed an estimate may follow for long. An animal turns: with T, the time after which it has forgotten its
-# course, its velocity stays near v_rms = sqrt(q T / 2), and so does what a track believes of it while nobody sees it:
+# course, its velocity stays near v_rms = sqrt(q T / 2), and so does what a track believes of it while no robot sees it:
 # the integrated Ornstein-Uhlenbeck process (Uhlenbeck and Ornstein, Phys. Rev. 36, 1930), as Singer has it for the
 # acceleration (IEEE Trans. AES-6, 1970).
 
@@ -58,7 +59,7 @@ class Dynamics(NamedTuple):
 
     @property
     def axes(self) -> Symmetric:
-        """What both variances are multiplied by."""
+        """The factor of both variances in each axis."""
         return IDENTITY if self.turn_s == math.inf else LEVEL
 
 
@@ -82,7 +83,7 @@ def swimming(speed_m_s: float, turn_s: float) -> Dynamics:
 
 
 def growth(dynamics: Dynamics, h_s: float) -> Growth:
-    """What h_s brings; turn_s finite."""
+    """The growth over h_s; turn_s must be finite."""
     q, T, _ = dynamics
     x = h_s / T
     gone = -math.expm1(-x)  # 1 - e
@@ -97,12 +98,14 @@ def _place(x: float) -> float:
     return x * x * x * (1 / 3 - x * (1 / 4 - x * (7 / 60 - x * (1 / 24 - x * 31 / 2520))))
 
 
-# @@ track
+# --- track ---
 
 Square = tuple[float, float, float, float, float, float, float, float, float]  # 3x3, row by row
 
 
 class Track(NamedTuple):
+    """State of the filter at one time, world frame."""
+
     t_ns: int
     x_m: Vector
     v_m_s: Vector
@@ -112,7 +115,7 @@ class Track(NamedTuple):
 
 
 def begin(t_ns: int, information: Symmetric, vector: Vector, dynamics: Dynamics = ROLLING) -> Track:
-    """A track from one first sample, (R^-1, R^-1 x̂), which must know every direction (line.placed)."""
+    """A track from one first sample, (R^-1, R^-1 x̂), which must know every direction (`placed`)."""
     covariance = invert(information)
     return Track(
         t_ns,
@@ -141,7 +144,7 @@ def predict(track: Track, t_ns: int, dynamics: Dynamics = ROLLING) -> Track:
 
 
 def _turn(track: Track, t_ns: int, dynamics: Dynamics) -> Track:
-    """As predict, of what keeps its velocity for a while."""
+    """As `predict`, for a target that keeps its velocity for a while."""
     before_ns, x, v, A, C, D = track
     a, e, place, both, speed = growth(dynamics, (t_ns - before_ns) * 1e-9)
     crossed = (2.0 * C[0], C[1] + C[3], C[2] + C[6], 2.0 * C[4], C[5] + C[7], 2.0 * C[8])  # C + C^T
@@ -178,7 +181,7 @@ def correct(track: Track, information: Symmetric, vector: Vector) -> Track:
 
 
 def _correct_in_part(track: Track, information: Symmetric, vector: Vector) -> Track:
-    """As correct, by information that may lack a direction."""
+    """As `correct`, by information that may lack a direction."""
     t_ns, x, v, A, C, D = track
     Lam = square(information)
     N = _shrink(A, information)
@@ -197,7 +200,7 @@ def _correct_in_part(track: Track, information: Symmetric, vector: Vector) -> Tr
 
 
 def nis_of_bearing(track: Track, x_m: Vector, information: Symmetric) -> float:
-    """The same of a bearing through x_m: chi^2 with as many degrees of freedom as its rank."""
+    """As `nis`, of a bearing through x_m: chi^2 with as many degrees of freedom as its rank."""
     r = x_m[0] - track.x_m[0], x_m[1] - track.x_m[1], x_m[2] - track.x_m[2]
     S = product(square(information), _shrink(track.A, information))  # (A + R)^-1, where R may be without bound
     return quadratic(symmetric_part(S), r)
@@ -266,8 +269,8 @@ def product(a: Square, b: Square) -> Square:
     )
 
 
-# @@ line
-# What a sample of rank 2 says: the target is on a line, so well across it, and nothing along it.
+# --- line of a sample of rank 2 ---
+# The sample says that the target is on a line: it places it well across the line, and not at all along it.
 
 FLAT = 1e-9  # of the trace's square, sum of the principal minors: below this a second direction is not known either
 ALONG = 1e-9  # of the trace, 1/m: what rounding leaves of a vector along the line
@@ -292,13 +295,13 @@ def line(information: Symmetric, vector: Vector) -> Line | None:
     column = max(((xx, xy, xz), (xy, yy, yz), (xz, yz, zz)), key=lambda c: c[0] * c[0] + c[1] * c[1] + c[2] * c[2])
     length = math.sqrt(column[0] * column[0] + column[1] * column[1] + column[2] * column[2])
     n = column[0] / length, column[1] / length, column[2] / length
-    if abs(_dot(vector, n)) > ALONG * size:
+    if abs(inner(vector, n)) > ALONG * size:
         return None
     return Line(apply(invert(plus(information, times(size, outer(n)))), vector), n)
 
 
 def chord(of: Line, low_m: Vector, high_m: Vector) -> tuple[float, float] | None:
-    """From where to where along a line it is in a box; None: nowhere."""
+    """Where along a line it enters and leaves a box; None: it does not pass through it."""
     first, last = -math.inf, math.inf
     for x, n, low, high in zip(*of, low_m, high_m, strict=True):
         if n == 0.0:
@@ -311,8 +314,8 @@ def chord(of: Line, low_m: Vector, high_m: Vector) -> tuple[float, float] | None
 
 
 def placed(information: Symmetric, vector: Vector, tank_m: Vector) -> tuple[Symmetric, Vector]:
-    """The same, with what is known beforehand: that the target is in the tank. Of a line, that it is anywhere on its
-    chord, which has the variance chord^2/12; of what hardly knows a direction, or two, anywhere in the box."""
+    """The same information, with what is known beforehand: that the target is in the tank. On a line it is anywhere on
+    the chord, which has the variance chord^2/12; where one direction or two are hardly known, anywhere in the box."""
     of = line(information, vector) if inverse(information) is None else None
     if of is None:
         x, y, z = (12.0 / (size * size) for size in tank_m)
@@ -320,13 +323,13 @@ def placed(information: Symmetric, vector: Vector, tank_m: Vector) -> tuple[Symm
         return plus(information, (x, 0.0, 0.0, y, 0.0, z)), (vx, vy, vz)
     ends = chord(of, (0.0, 0.0, 0.0), tank_m)
     if ends is None:  # a little outside: as far along as the tank's middle is, within the tank's diagonal
-        half = 0.5 * math.sqrt(_dot(tank_m, tank_m))
+        half = 0.5 * math.sqrt(inner(tank_m, tank_m))
         x, y, z = of.foot_m
-        middle = _dot((0.5 * tank_m[0] - x, 0.5 * tank_m[1] - y, 0.5 * tank_m[2] - z), of.along)
+        middle = inner((0.5 * tank_m[0] - x, 0.5 * tank_m[1] - y, 0.5 * tank_m[2] - z), of.along)
         ends = middle - half, middle + half
     width, middle = ends[1] - ends[0], 0.5 * (ends[0] + ends[1])
     weight = 12.0 / (width * width)
-    known = weight * (middle + _dot(of.foot_m, of.along))
+    known = weight * (middle + inner(of.foot_m, of.along))
     x, y, z = (v + known * n for v, n in zip(vector, of.along, strict=True))
     return plus(information, times(weight, outer(of.along))), (x, y, z)
 
@@ -337,17 +340,13 @@ def outer(n: Vector) -> Symmetric:
     return x * x, x * y, x * z, y * y, y * z, z * z
 
 
-def _dot(a: Vector, b: Vector) -> float:
-    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
-
-
-# @@ fixed_lag_filter
+# --- fixed-lag filter ---
 # A Kalman filter over samples that come late and out of order: frozen where the window begins, run again from there.
 #
-# What comes out is the filter of somebody who had every sample in time, as long as none is later than the window is
-# long. What is older than the window stays as one track, whose worth fades with the acceleration noise.
+# Its result is that of a filter that had every sample in time, as long as none is later than the window is long. What
+# is older than the window stays as one track, whose weight fades with the acceleration noise.
 
-ANYWHERE_M = (10.0, 10.0, 10.0)  # where nobody says how large the tank is
+ANYWHERE_M = (10.0, 10.0, 10.0)  # where the size of the tank is not given
 
 
 class Held(NamedTuple):
@@ -361,7 +360,7 @@ class Held(NamedTuple):
 
 
 class FixedLagFilter(Revertible):
-    """A track over the samples that it is shown; those up to the horizon it remembers, the others it must see again.
+    """A track over the samples that it is given; those up to the horizon it remembers, the others must be given again.
 
     tank_m: where the target is for certain, which is all that a first bearing knows of the way along it.
     """
@@ -371,7 +370,7 @@ class FixedLagFilter(Revertible):
         self._frozen: Track | None = None
 
     def run(self, samples: Iterable[Held], horizon_ns: int, now_ns: int) -> Track | None:
-        """The filter at this moment; None before the first sample.
+        """The track at this moment; None before the first sample.
 
         samples: all that are newer than the horizon of the run before, in an order that is the same on every robot.
         """

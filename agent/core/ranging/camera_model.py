@@ -1,4 +1,6 @@
-"""Pixels, servo pulses and ranges to places in the world, and back. Pure geometry in scalars, no BLAS.
+"""Pixels, servo pulses and ranges to places in the world, and back; and the calibration file that these rest on.
+
+Pure geometry in scalars, no BLAS.
 
 Frames. World: z up. Body: x forward, y left, z up, R_world_body = Rz(yaw) Ry(pitch) Rx(roll). Gimbal: pan about body
 z, positive to the left, then tilt, positive up: R_body_gimbal = Rz(pan) Ry(-tilt). Camera: x right, y down, z forward,
@@ -19,8 +21,8 @@ from agent.core.config import Body, ConfigError, Pose, Positive, Struct, convert
 from agent.core.linear_algebra import difference
 from agent.core.messages import Symmetric, Vector
 
-# @@ calibration
-# The calibration file of one robot: what `aucamp calibrate` measured and the agent relies on.
+# --- calibration file of one robot ---
+# What `aucamp calibrate` measured and the agent relies on.
 
 
 class FocusFit(Struct, frozen=True, kw_only=True):
@@ -40,8 +42,8 @@ class FocusFit(Struct, frozen=True, kw_only=True):
     r2: float
     rmse_m: float
     held_out_rmse_m: float
-    sag: float = 0.0  # lens positions by which peaks shift when the camera looks straight up: see `sag.at_tilt`
-    sag_sigma: float | None = None  # standard deviation of that; None: nobody measured it
+    sag: float = 0.0  # lens positions by which peaks shift when the camera looks straight up: see `focus.at_tilt`
+    sag_sigma: float | None = None  # standard deviation of that; None: not measured
 
 
 class CameraFit(Struct, frozen=True, kw_only=True):
@@ -70,7 +72,7 @@ class CameraFit(Struct, frozen=True, kw_only=True):
     noise_px: Positive = 0.5  # residual of the fit
     noise_deg: Positive = 0.1  # repeatability of the gimbal
     # Of ln f_px, bend, cx_px, cy_px, ahead_m, breathing, pan_zero_deg, tilt_zero_deg, pan_gain and tilt_gain: the upper
-    # triangle, row by row; None: nobody knows.
+    # triangle, row by row; None: unknown.
     covariance: Annotated[tuple[float, ...], Meta(min_length=55, max_length=55)] | None = None
 
 
@@ -90,12 +92,14 @@ class BodyFit(Struct, frozen=True, kw_only=True):
 
 
 class Calibration(Struct, frozen=True, kw_only=True):
+    """The whole file."""
+
     robot: str
     made: str  # date, UTC
     source: str  # what was in front of which camera
     focus: FocusFit
     camera: CameraFit
-    body: BodyFit | None = None  # none: of a robot like others; only one that swims needs it
+    body: BodyFit | None = None  # none: the default fit; only a robot that swims needs it
 
 
 def at_lens_position(camera: CameraFit, lens_position: float | None) -> CameraFit:
@@ -139,7 +143,7 @@ def _refuse_without(table: str, data: dict[str, Any], path: Path) -> None:
         )
 
 
-# @@ camera_model
+# --- geometry ---
 
 Rotation = tuple[Vector, Vector, Vector]  # rows
 
@@ -149,7 +153,7 @@ RINGS = 8  # of equal area, to average the depth of that disc; 4 already agree t
 
 
 class Eye(NamedTuple):
-    """Where a camera is: optical centre in the world, rotation camera -> world, and the centre of what carries it."""
+    """Where a camera is: optical centre in the world, rotation camera -> world, and the centre of the body."""
 
     position_m: Vector
     rotation: Rotation

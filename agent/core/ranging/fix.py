@@ -1,10 +1,10 @@
-"""One measurement of a target as a place in the world, with a 3x3 covariance in two parts.
+"""One measurement of a target as a place in the world, with a 3x3 covariance in two parts; or as a bearing.
 
 x = p + a o + d r: p the gimbal's pivot, a the optical axis along which rays meet o = ahead_m before it, r the unit
 ray through the ball's centre or the middle of a box, d the distance along it. To first order the error of x is the sum
 of independent ones: along r that of d; across it pixel and gimbal; about the body's centre the error of its attitude;
 and that of its place: of a robot that is moored as it was surveyed, of one that swims as its filter has them
-(own_pose.py). What averages out over measurements and what does not are kept apart.
+(`OwnPose`). What averages out over measurements and what does not are kept apart.
 """
 
 from __future__ import annotations
@@ -31,12 +31,104 @@ from agent.core.ranging.camera_model import (
 from agent.core.ranging.focus import at_tilt, h, range_variance
 from agent.core.target_state import bearing, ranged
 
-# @@ cues
-# Two ways to know how far a ball is, from one sharp picture, and what they are worth together.
+# Uncertainty of the robot's own pose; figures of the twin, which took them from tape measures and cheap sensors.
+PLACE_SIGMA_M = 0.0014  # x and y: surveyed to 1 mm, and moored to 1 mm
+HEIGHT_SIGMA_M = 0.0007  # pressure: what the tare leaves, and the drift of four sensors in the first minutes
+HEADING_SIGMA_DEG = 0.14  # surveyed to 0.1 degrees, and moored to 0.1
+LEVEL_SIGMA_DEG = 0.1  # roll and pitch: drift and noise of pressure over a base of 0.26 m
+BOX_NOISE = 0.05  # of a box's width and height: trackers jitter by so much, and people draw no better
+
+
+class Fix(NamedTuple):
+    """One measurement of the target's centre in the world."""
+
+    position_m: Vector
+    random_m2: Symmetric  # averages out over measurements
+    systematic_m2: Symmetric  # does not: calibration and survey, the same in every measurement of this robot
+    focus_share: float = 1.0  # of the range, by focus; the rest by size
+
+    @property
+    def covariance_m2(self) -> Symmetric:
+        xx, xy, xz, yy, yz, zz = (p + q for p, q in zip(self.random_m2, self.systematic_m2, strict=True))
+        return xx, xy, xz, yy, yz, zz
+
+
+def locate(
+    calibration: Calibration,
+    eye: Eye,
+    outline: Outline,
+    rho: float,
+    sigma_rho: float,
+    ball: Target,
+    cues: Cues = "both",
+    own: OwnPose | None = None,
+) -> Fix | NoRange:
+    """The ball's centre from its outline in the sharpest frame and from the lens position of the clarity's peak.
+
+    Of what is in a box: the point of its surface behind the middle of the box. own: how well a robot that swims knows
+    where it was then; None: it is moored.
+
+    NoRange where the wanted cues have no range, or contradict each other.
+    """
+    axis = apply(eye.rotation, (0.0, 0.0, 1.0))
+    d = distance(calibration, outline, rho, sigma_rho, ball, cues, math.asin(max(-1.0, min(1.0, axis[2]))))
+    if isinstance(d, NoRange):
+        return d
+    camera = at_lens_position(calibration.camera, outline.lens_position)
+    m = ray(camera, outline.centre_px)
+    r = apply(eye.rotation, m)
+    x, y, z = (p + camera.ahead_m * a + d.distance_m * c for p, a, c in zip(eye.position_m, axis, r, strict=True))
+    right, down = apply(eye.rotation, (1.0, 0.0, 0.0)), apply(eye.rotation, (0.0, 1.0, 0.0))
+    px2 = camera.noise_px**2 + outline.centre_sigma_px**2
+    gimbal = math.radians(camera.noise_deg) ** 2
+    turns = [(cross(axis_, r), d.distance_m**2 * gimbal) for axis_ in (right, down)]
+    along_x, along_y = (_slope_shift(e, r, m_e, m[2], d) for e, m_e in ((right, m[0]), (down, m[1])))
+    pushed = [_combine(sx, along_x, sy, along_y) for sx, sy in slopes_per_px(camera, m)]  # by a pixel right, and down
+    shifts = [(push, px2) for push in pushed]
+    boxed = [(push, (BOX_NOISE * side) ** 2) for push, side in zip(pushed, outline.size_px or (), strict=False)]
+    arm = (x - eye.body_m[0], y - eye.body_m[1], z - eye.body_m[2])
+    level, heading = math.radians(LEVEL_SIGMA_DEG) ** 2, math.radians(HEADING_SIGMA_DEG) ** 2
+    place2 = PLACE_SIGMA_M**2
+    if own is not None:
+        heading = place2 = 0.0  # `own` has them
+    attitude = [
+        (cross(e, arm), s) for e, s in (((1.0, 0.0, 0.0), level), ((0.0, 1.0, 0.0), level), ((0.0, 0.0, 1.0), heading))
+    ]
+    place = [((1.0, 0.0, 0.0), place2), ((0.0, 1.0, 0.0), place2), ((0.0, 0.0, 1.0), HEIGHT_SIGMA_M**2)]
+    random_m2 = _sum([(r, d.random_m2), *turns, *shifts])
+    systematic_m2 = _sum([(r, d.systematic_m2), *attitude, *place, *boxed])
+    if own is not None:
+        random_m2 = plus(random_m2, times(own.kappa, carried(arm, own.fluctuates)))
+        systematic_m2 = plus(systematic_m2, carried(arm, own.stays))
+    return Fix((x, y, z), random_m2, systematic_m2, d.focus_share)
+
+
+def _slope_shift(e: Vector, r: Vector, m_e: float, m_z: float, d: Range) -> Vector:
+    """dx / d(slope along image axis e): the ray turns by m_z (e - m_e r), and at a given z-depth it grows longer."""
+    turn = d.distance_m * m_z
+    stretch = d.focus_share * turn * m_e  # d = z / m_z for the focus's share of d; the size's does not change
+    return _combine(turn, e, stretch - turn * m_e, r)
+
+
+def _combine(p: float, a: Vector, q: float, b: Vector) -> Vector:
+    return p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2]
+
+
+def _sum(parts: Iterable[tuple[Vector, float]]) -> Symmetric:
+    """Sum of s v v^T over (v, s)."""
+    xx = xy = xz = yy = yz = zz = 0.0
+    for (x, y, z), s in parts:
+        xx, xy, xz = xx + s * x * x, xy + s * x * y, xz + s * x * z
+        yy, yz, zz = yy + s * y * y, yz + s * y * z, zz + s * z * z
+    return xx, xy, xz, yy, yz, zz
+
+
+# --- range by focus and by size ---
+# Two ways to know how far a ball is, from one sharp picture, and the weights by which they are combined.
 #
-# Focus: h of the lens position at which the ball's skin is sharpest (paper, section 3). Size: the outline of a ball
-# of known radius R is a cone of rays with the half angle theta, and its centre is at d = R / sin(theta), off the axis
-# as on it. Both give d from the point where the camera's rays meet, along the ray to the ball's centre.
+# Focus: h of the lens position at which the ball's skin is sharpest (paper, section 3). Size: the outline of a ball of
+# known radius R is a cone of rays with the half angle theta, and its centre is at d = R / sin(theta), off the axis as
+# on it. Both give d from the point where the camera's rays meet, along the ray to the ball's centre.
 #
 # Each carries two variances. `random` averages out over measurements. `systematic` does not: the focus fit's own
 # covariance, the picture's scale, the ball's tolerance, and where an edge seems to lie.
@@ -75,7 +167,7 @@ class Range(NamedTuple):
     distance_m: float
     random_m2: float
     systematic_m2: float
-    focus_share: float = 1.0  # how much of it is the focus's word; the rest is the size's
+    focus_share: float = 1.0  # how much of it is by focus; the rest is by size
 
     @property
     def variance_m2(self) -> float:
@@ -85,7 +177,7 @@ class Range(NamedTuple):
 def distance(
     calibration: Calibration, outline: Outline, rho: float, sigma_rho: float, ball: Target, cues: Cues, tilt_rad: float
 ) -> Range | NoRange:
-    """What the wanted cues say; NoRange where they have no range, or contradict each other.
+    """The range by the wanted cues; NoRange where they have no range, or contradict each other.
 
     rho, sigma_rho: lens position of the clarity's peak and its standard deviation. tilt_rad: how far the camera looks
     up.
@@ -156,7 +248,7 @@ def size_range(camera: CameraFit, outline: Outline, ball: Target) -> Range:
 
 
 def fuse(focus: Range, size: Range) -> Range | NoRange:
-    """Both, each weighed by the inverse of its whole variance; NoRange where they contradict each other."""
+    """Both ranges, each weighted by the inverse of its whole variance; NoRange where they contradict each other."""
     apart_m, both = focus.distance_m - size.distance_m, focus.variance_m2 + size.variance_m2
     if apart_m * apart_m > DISAGREE * DISAGREE * both:
         return NoRange(
@@ -173,14 +265,14 @@ def fuse(focus: Range, size: Range) -> Range | NoRange:
     )
 
 
-# @@ own_pose
-# What not knowing where one is oneself does to where one says that a target is.
+# --- uncertainty of the robot's own pose ---
+# What an uncertain pose of the robot adds to the place of a target that it measures.
 #
 # random += kappa J P_f J' ;  systematic += J B J' ;  J = [e_x, e_y, e_z x arm], arm from the robot to the target
 #
 # P_f: what fluctuates of (x, y, psi); B: what stays. Errors of a filtered pose are alike from one moment to the next,
-# so that samples of a target, dt apart, do not average out as independent ones do: n Var(mean) / P tends to kappa =
-# (1 + phi) / (1 - phi), phi = exp(-dt / tau), by which each sample is therefore made weaker.
+# so that samples of a target, dt apart, do not average out as independent ones do: n Var(mean) / P tends to kappa = (1
+# + phi) / (1 - phi), phi = exp(-dt / tau), by which each sample is therefore made weaker.
 
 MEMORY_S = 10.0  # how far back gaps between fixes count
 # tau of a filtered pose: measured 0.25 s with fixes at 5 Hz, 0.75 s with gaps of 2 s in every 4.
@@ -199,7 +291,7 @@ EXACT = OwnPose(ZERO, ZERO, 1.0)  # for a measurement from the robot instead of 
 
 
 def kappa(since_last_s: float, gap_s: float) -> float:
-    """By how much a sample is worth less than an independent one. since_last_s: since the robot's sample before it."""
+    """By how much a sample weighs less than an independent one. since_last_s: since the robot's sample before it."""
     phi = math.exp(-since_last_s / (TAU_S + TAU_OF_GAP * gap_s))
     return (1.0 + phi) / (1.0 - phi)
 
@@ -227,109 +319,15 @@ def carried(arm_m: Vector, of_pose: Symmetric) -> Symmetric:
     )
 
 
-# @@ fix
-
-# What the robot does not know of itself; figures of the twin, which took them from tape measures and cheap sensors.
-PLACE_SIGMA_M = 0.0014  # x and y: surveyed to 1 mm, and moored to 1 mm
-HEIGHT_SIGMA_M = 0.0007  # pressure: what the tare leaves, and the drift of four sensors in the first minutes
-HEADING_SIGMA_DEG = 0.14  # surveyed to 0.1 degrees, and moored to 0.1
-LEVEL_SIGMA_DEG = 0.1  # roll and pitch: drift and noise of pressure over a base of 0.26 m
-BOX_NOISE = 0.05  # of a box's width and height: trackers tremble by so much, and people draw no better
-
-
-class Fix(NamedTuple):
-    """One measurement of the target's centre in the world."""
-
-    position_m: Vector
-    random_m2: Symmetric  # averages out over measurements
-    systematic_m2: Symmetric  # does not: calibration and survey, the same in every measurement of this robot
-    focus_share: float = 1.0  # of the range, by focus; the rest by size
-
-    @property
-    def covariance_m2(self) -> Symmetric:
-        xx, xy, xz, yy, yz, zz = (p + q for p, q in zip(self.random_m2, self.systematic_m2, strict=True))
-        return xx, xy, xz, yy, yz, zz
-
-
-def locate(
-    calibration: Calibration,
-    eye: Eye,
-    outline: Outline,
-    rho: float,
-    sigma_rho: float,
-    ball: Target,
-    cues: Cues = "both",
-    own: OwnPose | None = None,
-) -> Fix | NoRange:
-    """The ball's centre from its outline in the sharpest frame and from the lens position of the clarity's peak.
-
-    Of what is in a box: the point of its surface behind the middle of the box. own: how well a robot that swims knows
-    where it was then; None: it is moored.
-
-    NoRange where the wanted cues have no range, or contradict each other.
-    """
-    axis = apply(eye.rotation, (0.0, 0.0, 1.0))
-    d = distance(calibration, outline, rho, sigma_rho, ball, cues, math.asin(max(-1.0, min(1.0, axis[2]))))
-    if isinstance(d, NoRange):
-        return d
-    camera = at_lens_position(calibration.camera, outline.lens_position)
-    m = ray(camera, outline.centre_px)
-    r = apply(eye.rotation, m)
-    x, y, z = (p + camera.ahead_m * a + d.distance_m * c for p, a, c in zip(eye.position_m, axis, r, strict=True))
-    right, down = apply(eye.rotation, (1.0, 0.0, 0.0)), apply(eye.rotation, (0.0, 1.0, 0.0))
-    px2 = camera.noise_px**2 + outline.centre_sigma_px**2
-    gimbal = math.radians(camera.noise_deg) ** 2
-    turns = [(cross(axis_, r), d.distance_m**2 * gimbal) for axis_ in (right, down)]
-    along_x, along_y = (_slope_shift(e, r, m_e, m[2], d) for e, m_e in ((right, m[0]), (down, m[1])))
-    pushed = [_combine(sx, along_x, sy, along_y) for sx, sy in slopes_per_px(camera, m)]  # by a pixel right, and down
-    shifts = [(push, px2) for push in pushed]
-    boxed = [(push, (BOX_NOISE * side) ** 2) for push, side in zip(pushed, outline.size_px or (), strict=False)]
-    arm = (x - eye.body_m[0], y - eye.body_m[1], z - eye.body_m[2])
-    level, heading = math.radians(LEVEL_SIGMA_DEG) ** 2, math.radians(HEADING_SIGMA_DEG) ** 2
-    place2 = PLACE_SIGMA_M**2
-    if own is not None:
-        heading = place2 = 0.0  # its covariances have them
-    attitude = [
-        (cross(e, arm), s) for e, s in (((1.0, 0.0, 0.0), level), ((0.0, 1.0, 0.0), level), ((0.0, 0.0, 1.0), heading))
-    ]
-    place = [((1.0, 0.0, 0.0), place2), ((0.0, 1.0, 0.0), place2), ((0.0, 0.0, 1.0), HEIGHT_SIGMA_M**2)]
-    random_m2 = _sum([(r, d.random_m2), *turns, *shifts])
-    systematic_m2 = _sum([(r, d.systematic_m2), *attitude, *place, *boxed])
-    if own is not None:
-        random_m2 = plus(random_m2, times(own.kappa, carried(arm, own.fluctuates)))
-        systematic_m2 = plus(systematic_m2, carried(arm, own.stays))
-    return Fix((x, y, z), random_m2, systematic_m2, d.focus_share)
-
-
-def _slope_shift(e: Vector, r: Vector, m_e: float, m_z: float, d: Range) -> Vector:
-    """dx / d(slope along image axis e): the ray turns by m_z (e - m_e r), and at a given z-depth it grows longer."""
-    turn = d.distance_m * m_z
-    stretch = d.focus_share * turn * m_e  # d = z / m_z for the focus's share of d; the size's does not care
-    return _combine(turn, e, stretch - turn * m_e, r)
-
-
-def _combine(p: float, a: Vector, q: float, b: Vector) -> Vector:
-    return p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2]
-
-
-def _sum(parts: Iterable[tuple[Vector, float]]) -> Symmetric:
-    """Sum of s v v^T over (v, s)."""
-    xx = xy = xz = yy = yz = zz = 0.0
-    for (x, y, z), s in parts:
-        xx, xy, xz = xx + s * x * x, xy + s * x * y, xz + s * x * z
-        yy, yz, zz = yy + s * y * y, yz + s * y * z, zz + s * z * z
-    return xx, xy, xz, yy, yz, zz
-
-
-# @@ sight_line
-# One frame of a target as a bearing in the world: no sweep, and so no range but what its size may say: a ball's well,
-# a creature's hardly, for it may be seen from any side.
+# --- bearing by one frame ---
+# One frame of a target as a bearing in the world: no sweep, and so no range but what its size may say: a ball's well, a
+# creature's hardly, for it may be seen from any side.
 #
-# Across the ray count the pixel, the gimbal, the body's level, and where the robot was by its own pose: what
-# fluctuates of it weaker by kappa, what stays as it is (own_pose.py).
+# Across the ray count the pixel, the gimbal, the body's level, and where the robot was by its own pose: what fluctuates
+# of it weaker by kappa, what stays as it is (`OwnPose`).
 
 BENDING = 0.03  # of a box's longer side, by which a body that bends moves the middle of its box
-HIGH = 0.3  # of a creature's length, as a fish; it heads the way it swims: which side it shows is known where that is
+HIGH = 0.3  # of a creature's length, as a fish; it heads the way it swims: the side it shows is known where that is
 SHOWN = 0.6  # of its length, which it shows from most sides
 HIDDEN = 0.5  # of what it lacks to what it ought to show: it may be turned, or a stone hides so much at one of its ends
 # Its height is the same from all sides, as long as it swims level: in the twin's rendered dives 0.3 lengths, standard
@@ -359,8 +357,8 @@ def sight_line(
     """The bearing of what a frame exposed at t_ns shows.
 
     eye, own: of that moment. believed_m: where the target is believed to have been then, world frame; it gives the
-    range unless a ball's size does. None: nobody knows. unknown_m: the range then. sized: whether its size may say
-    anything of the range. velocity_m_s: of the target as it is believed to swim; None: nobody knows.
+    range unless a ball's size does. None: unknown. unknown_m: the range then. sized: whether its size may say
+    anything of the range. velocity_m_s: of the target as it is believed to swim; None: unknown.
     tilt_sigma_rad: what the gimbal may be off by up or down besides.
     """
     camera = at_lens_position(camera, outline.lens_position)
@@ -392,7 +390,7 @@ def sight_line(
 
 
 def _side(ray: Vector, velocity_m_s: Vector, target: Target) -> float | None:
-    """Share of its length that what swims so shows to who looks along the ray: 1 from its side; None: nobody knows."""
+    """Share of its length that a target that swims so shows along the ray: 1 from its side; None: unknown."""
     u, v = velocity_m_s[:2]
     speed_m_s, far = math.hypot(u, v), math.hypot(ray[0], ray[1])
     if target.speed_m_s is None or speed_m_s < HEADS * target.speed_m_s or far == 0.0:
@@ -411,8 +409,8 @@ def _bent_px(outline: Outline, target: Target, px_per_m: float, side: float | No
 
 
 def _height_range_m(outline: Outline, target: Target, camera: CameraFit) -> float | None:
-    """About how far a creature of that length is that is so high in the picture; None: nobody knows its length, or
-    not all of its height shows."""
+    """About how far a creature of that length is that is so high in the picture; None: its length is unknown, or not
+    all of its height shows."""
     if target.length_m is None or outline.size_px is None:
         return None
     high_px, y_px = outline.size_px[1], outline.centre_px[1]

@@ -1,5 +1,7 @@
 """A range from clarity against lens position: the peak of the curve, then the calibrated hyperbola h(rho).
 
+Also the depth of field, and the shift of the peak by the lens's own weight.
+
 The curve is matched with T(x) = a / (1 + ((x - x0)/w)^2) + b. The information about x0 sits on the flanks, which the
 largest sample (the paper's argmax) and a parabola through its neighbours do not see; both are here for comparison.
 Lens positions need not be equally spaced. Element-wise arithmetic and sums only: the same bits on every CPU of one
@@ -46,6 +48,8 @@ class Peak(NamedTuple):
 
 
 class NoPeak(NamedTuple):
+    """Why a curve gives no peak."""
+
     reason: str
 
 
@@ -103,7 +107,7 @@ def fit_peaks(
     """The peaks of many curves taken at the same lens positions: (n,) and (m, n), n >= 5.
 
     What is accepted does not depend on the method, so that methods can be compared on the same curves; the baselines'
-    sigma is that of a peak anywhere within one step. `solve` takes the place of this file's own arithmetic.
+    sigma is that of a peak anywhere within one step. `solve` takes the place of `_solve`.
     """
     order = np.argsort(lens_positions, kind="stable")
     x, y = np.asarray(lens_positions, float)[order], np.ascontiguousarray(np.asarray(curves, float)[:, order])
@@ -211,7 +215,7 @@ def _refine(x: Array, y: Array, x0: Array, w: Array, free_width: bool) -> tuple[
         new_w = w * np.clip(1.0 + share * here.step_w / w, 0.6, 1.6)
         there = _at(x, dy, new_x0, new_w, free_width)
         better = active & (there.sse < here.sse)
-        active &= np.maximum(np.abs(new_x0 - x0), np.abs(new_w - w)) >= tolerance  # each for itself, in any company
+        active &= np.maximum(np.abs(new_x0 - x0), np.abs(new_w - w)) >= tolerance  # each curve by itself
         x0, w = np.where(better, new_x0, x0), np.where(better, new_w, w)
         here = _Point(*(np.where(better, new, old) for new, old in zip(there, here, strict=True)))
         share = np.where(better, np.minimum(2.0 * share, 1.0), 0.5 * share)
@@ -288,11 +292,11 @@ def _top(x: Array, y: Array, method: Method) -> tuple[Array, Array]:
     return np.where(convex, np.clip(top, x[i - 1], x[i + 1]), x[best]), variance
 
 
-# @@ depth_of_field
+# --- depth of field ---
 # The ranges over which a picture is as sharp as its pixels can show.
 #
-# The paper adds this width to the range of the peak. It is no error of the peak, which is found from the flanks and
-# an order of magnitude finer, so here it is a bound: what a single look at one frame could tell.
+# The paper adds this width to the range of the peak. It is no error of the peak, which is found from the flanks and an
+# order of magnitude finer, so here it is a bound: what a single look at one frame could tell.
 
 
 def depth_of_field_m(u_m: float, focal_m: float, f_number: float, spot_m: float) -> float:
@@ -310,18 +314,18 @@ def depth_of_field_m(u_m: float, focal_m: float, f_number: float, spot_m: float)
 def depth_of_field_in_water_m(
     u_m: float, focal_m: float, f_number: float, spot_m: float, index: float, port_m: float
 ) -> float:
-    """The same behind a flat port `port_m` ahead of the lens: what lies at u seems to be at port + (u - port) / n."""
+    """The same in water, behind a flat port `port_m` ahead of the lens: u seems to be at port + (u - port) / n."""
     return index * depth_of_field_m(port_m + (u_m - port_m) / index, focal_m, f_number, spot_m)
 
 
-# @@ lens_sag
+# --- lens sag ---
 # The lens's own weight: looking up, it sinks towards the sensor, and the peak of every sweep lies a little elsewhere.
 #
 # A voice coil holds its lens on springs, so the shift is proportional to the component of gravity along the optical
-# axis. A micrometre at the vertical is five to eight lens positions of a small module, 10 mm at half a metre: more
-# than all that averages out. It is measured by repeating a distance with the camera looking up and down.
+# axis. A micrometre at the vertical is five to eight lens positions of a small module, 10 mm at half a metre: more than
+# all that averages out. It is measured by repeating a distance with the camera looking up and down.
 
-UNKNOWN_SAG = 0.05  # of the peak's half width, standard deviation where nobody measured it: a micrometre of sag
+UNKNOWN_SAG = 0.05  # of the peak's half width, standard deviation where it was not measured: a micrometre of sag
 MIN_SPREAD = math.sin(math.radians(10.0))  # of sin(tilt), from the lowest to the highest view: less shows only noise
 
 
