@@ -271,8 +271,8 @@ def fuse(focus: Range, size: Range) -> Range | NoRange:
 # random += kappa J P_f J' ;  systematic += J B J' ;  J = [e_x, e_y, e_z x arm], arm from the robot to the target
 #
 # P_f: what fluctuates of (x, y, psi); B: what stays. Errors of a filtered pose are alike from one moment to the next,
-# so that samples of a target, dt apart, do not average out as independent ones do: n Var(mean) / P tends to kappa = (1
-# + phi) / (1 - phi), phi = exp(-dt / tau), by which each sample is therefore made weaker.
+# so that samples of a target, dt apart, do not average out as independent ones do: n Var(mean) / P tends to
+# kappa = (1 + phi) / (1 - phi), phi = exp(-dt / tau), by which each sample is therefore made weaker.
 
 MEMORY_S = 10.0  # how far back gaps between fixes count
 # tau of a filtered pose: measured 0.25 s with fixes at 5 Hz, 0.75 s with gaps of 2 s in every 4.
