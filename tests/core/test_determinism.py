@@ -7,7 +7,8 @@ import pytest
 
 from tests.places import ROOT
 
-KERNEL = sorted((ROOT / "agent" / "kernel").rglob("*.py"))
+FOLDERS = ("core", "capabilities", "robot")
+KERNEL = sorted(path for folder in FOLDERS for path in (ROOT / "agent" / folder).rglob("*.py"))
 BLAS = {"dot", "matmul", "linalg", "vdot", "inner", "tensordot", "random"}
 
 

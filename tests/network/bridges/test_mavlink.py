@@ -1,10 +1,7 @@
 """`aucamp bridge mavlink` over real links, with pymavlink's own `mavutil` as the ground station."""
 
-import importlib.util
 import os
 import socket
-import subprocess
-import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -13,23 +10,20 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 import pytest
+
+pytest.importorskip("pymavlink", reason="pip install 'aucamp[mavlink]'")
+os.environ.setdefault("MAVLINK20", "1")  # mavutil looks for it when it is imported
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.core.codec import decode
 from agent.core.config import Fleet, dump
 from agent.core.messages import Order
-from agent.ground.bridges.keelson import Keelson
 from agent.ground.bridges.mavlink import Origin, run
-from tests.network.bridges.elsewhere import shown_elsewhere
 from tests.network.conftest import unused_port
 from tests.network.orders.answering import Loop
 from tests.network.secured.parties import secure
 from tests.waiting import until
-
-pytest.importorskip("pymavlink", reason="pip install 'aucamp[mavlink]'")
-os.environ.setdefault("MAVLINK20", "1")  # mavutil looks for it when it is imported
-
 
 CHAIN = {"r1": ("r2",), "r2": ("r1", "r3"), "r3": ("r2",)}
 PATIENCE_S = 30.0  # of the wall: a machine may be busy
@@ -155,34 +149,3 @@ def test_a_datagram_of_another_port_is_nobodys(dive) -> None:
         assert here.taken() == []
         here.station.write(arm)  # the very same bytes, from the port that it talks to
         assert here.ack(ARM) == (1, mavlink.MAV_RESULT_ACCEPTED)
-
-
-# --- keelson ---
-# `aucamp bridge keelson` over real links and a router of Zenoh, read by the program `zenoh` with keelson's decoder.
-
-pytest.importorskip("keelson", reason="pip install 'aucamp[keelson]'")
-
-
-SUBJECTS = {"roll_deg", "pitch_deg", "yaw_deg", "frame_transform", "vehicle_armed", "vehicle_mode", "image_compressed"}
-
-
-@pytest.mark.skipif(not importlib.util.find_spec("zenoh_cli"), reason="pip install zenoh-cli")
-@pytest.mark.slow
-def test_its_own_decoder_reads_ours(make_fleet: Callable[..., Fleet], tmp_path: Path) -> None:
-    pair = {"r1": ("r2",), "r2": ("r1",)}
-    with shown_elsewhere(make_fleet(pair), tmp_path, Keelson) as port:
-        zenoh = [sys.executable, "-u", "-c", "import zenoh_cli; zenoh_cli.main()"]
-        command = [*zenoh, "--mode", "client", "--connect", f"tcp/127.0.0.1:{port}"]
-        command += ["subscribe", "-k", "test/@v0/**", "--decoder", "keelson-uncover-to-json", "--line", "{key} {value}"]
-        read: dict[str, str] = {}
-        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True) as process:
-            for line in process.stdout:
-                key, _, value = line.strip().partition(" ")
-                if key.startswith("test/@v0/"):
-                    read[key] = value
-                if len(read) == 2 * len(SUBJECTS):
-                    break
-            process.kill()
-    assert {(key.split("/")[2], key.split("/")[4]) for key in read} == {(r, s) for r in pair for s in SUBJECTS}
-    assert '"value": "ALT_HOLD"' in read["test/@v0/r1/pubsub/vehicle_mode/control"]
-    assert '"child_frame_id": "r2"' in read["test/@v0/r2/pubsub/frame_transform/place"]
