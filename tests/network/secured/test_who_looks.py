@@ -11,25 +11,20 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
-from msgspec.structs import replace
-from websockets.sync.client import ClientConnection, connect
 
 from agent.core import topics
-from agent.core.config import ConfigError, Tank, dump
+from agent.core.config import ConfigError
 from agent.core.messages import Estimate, Image, State
 from agent.ground.observe import next_picture
 from agent.process.certificates import CONSOLE_FILE
-from agent.process.keys import VARIABLE
 from agent.process.launch import run_router
 from agent.process.transport import Transport
 from router_config.session import Session
 from router_config.settings import peer_config, tls
 from tests.network.conftest import unused_port
-from tests.network.looking.page_process import page_process
-from tests.network.looking.scripted_robots import scripted
 from tests.network.recorder_thread import StartRecorder
 from tests.network.secured.conftest import Secured
-from tests.network.secured.parties import CHAIN, STRANGER
+from tests.network.secured.parties import CHAIN
 from tests.network.test_processes import install_entry_points
 from tests.places import ROOT
 from tests.waiting import until
@@ -166,53 +161,3 @@ def test_a_router_says_what_does_not_fit_a_secured_fleet(secured: Secured) -> No
         run_router(fleet, threading.Event(), "tcp/127.0.0.1:17448", keys=keys)
     with pytest.raises(ConfigError, match=r"certificate is good at 127.0.0.1 and localhost alone; listen there"):
         run_router(fleet, threading.Event(), "tls/192.168.7.5:17448", keys=keys)
-
-
-# --- page ---
-# The page before a secured fleet: it looks and orders by the certificate of its console, and of no other.
-
-pytest.importorskip("websockets", reason="the extra `page` is not installed")
-
-
-@pytest.fixture
-def path(secured: Secured, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setenv(VARIABLE, str(secured.keys))
-    fleet = replace(secured.fleet, tank=Tank(), access=replace(secured.fleet.access, keys="nowhere"))
-    file = tmp_path / "fleet.toml"
-    file.write_text(dump(fleet))
-    return file
-
-
-def messages(page: ClientConnection):
-    """All that comes, acknowledged as it comes; lines one by one."""
-    while True:
-        data = page.recv(60)
-        came = json.loads(data) if isinstance(data, str) else [{"k": f"image/{list(CHAIN)[data[0]]}"}]
-        page.send(json.dumps({"got": [message["k"] for message in came]}))
-        for message in came:
-            yield from message["lines"] if message["k"] == "lines" else [message]
-
-
-def test_a_console_sees_all_robots_and_stops_them(secured: Secured, path: Path) -> None:
-    with scripted(secured.fleet, secured.keys) as robots, page_process(path, "--as", "ann") as served:
-        token = served.address.partition("#")[2]
-        where = f"ws://127.0.0.1:{served.port}/ws?token={token}"
-        with connect(where, origin=f"http://127.0.0.1:{served.port}", compression=None) as page:
-            heard = messages(page)
-            missing = {f"{kind}/{name}" for kind in ("state", "image", "link") for name in CHAIN}
-            while missing:
-                missing.discard("/".join(next(heard)["k"].split("/")[:2]))
-            page.send(json.dumps({"order": {"robots": list(CHAIN), "verb": "stop"}}))
-            done = set()
-            while done != set(CHAIN):
-                if (message := next(heard))["k"] == "outcome":
-                    assert message["ok"], message
-                    done.add(message["robot"])
-        assert all([order.verb for order in robot.orders] == ["stop"] for robot in robots.values())
-
-
-def test_who_is_no_console_of_the_fleet_gets_no_page(path: Path) -> None:
-    command = [sys.executable, "-m", "agent", "page", str(path), "--as", STRANGER, "--port", str(unused_port())]
-    ended = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
-    assert ended.returncode == 2 and "Traceback" not in ended.stderr
-    assert ended.stderr.startswith("aucamp: ") and ended.stderr.count("\n") == 1 and STRANGER in ended.stderr
