@@ -37,7 +37,7 @@ from replay.files.mcap_file import parts
 from replay.files.mcap_walk import Channel, Message, Schema, Tear, records, suspecting
 from replay.report.timeline import RobotTimeline, Run, open_run
 
-# @@ source
+# --- source ---
 # Which recordings a path stands for, when something is to be made of them, and which robots are in these; and a file
 # that is made of them, or not at all.
 
@@ -73,7 +73,7 @@ def whole_or_none(out: Path) -> Iterator[None]:
         raise
 
 
-# @@ json_lines
+# --- json lines ---
 
 Decode = Callable[[bytes], Any]
 
@@ -181,7 +181,7 @@ def _plain(data: Any) -> Any:
     raise TypeError(f"{type(data).__name__} is not in our messages")
 
 
-# @@ tables
+# --- tables ---
 # The tables of a run for a spreadsheet: a file for each robot and kind, one head with units, one row for each event.
 #
 # Times are seconds since the first step of any robot of the run; the first column of each table has them.
@@ -336,7 +336,7 @@ def _s(t_s: float) -> str:
     return f"{t_s:.6f}"
 
 
-# @@ film
+# --- film ---
 # The recorded pictures of one robot as a film: what its camera saw, where it saw the target, when, and with which
 # lens position.
 #

@@ -135,7 +135,7 @@ def _apart_m(places: dict[str, Vector]) -> float | None:
     return max((math.dist(a, b) for a, b in combinations(places.values(), 2)), default=None)
 
 
-# @@ words
+# --- in sentences ---
 # The facts of a dive in one paragraph of plain sentences.
 
 MODES = {"failed": "a fault ended it", "degraded": "something was wrong with it at the end"}
@@ -230,7 +230,7 @@ def listed(words: list[str]) -> str:
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 
 
-# @@ told
+# --- the story for a person ---
 # `aucamp replay info`: the story of each recording, then what is in its files.
 
 WIDTH = 100  # characters of a line

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from agent.core import topics
 from agent.core.config import Fleet, common
 
-# @@ access
+# --- access ---
 # Who may do what to whom in a secured fleet: Zenoh's access rules of one process. Pure.
 #
 # They follow from the table of keys and from `[access]`.
@@ -133,7 +133,7 @@ def _rule(name: str, flow: str, messages: Sequence[str], *keys: str) -> Rule:
     return {"id": name, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": list(keys)}
 
 
-# @@ metadata
+# --- metadata ---
 # What a process says of itself to who looks at its links: its name, its version, and digests of what it goes by.
 #
 # Two that are linked and do not understand each other have different files or versions, and these show which.
@@ -169,7 +169,7 @@ def version() -> str:
         return UNKNOWN
 
 
-# @@ session
+# --- session ---
 
 # Where consoles find the router. Below 32768, as every port of ours: those above are ephemeral source ports.
 ROUTER_LISTEN = "tcp/127.0.0.1:17447"

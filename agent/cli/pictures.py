@@ -115,7 +115,7 @@ def train_enhance(
     ] = None,
 ) -> None:
     """LU2Net's weights, from pairs of pictures with and without water; loss and validation curves beside them."""
-    from agent.tools.train_enhance import check
+    from agent.tools.training_pairs import check
 
     check(pairs, start, out, resume, cross_validate)  # before torch, whose import takes seconds
     try:
@@ -133,7 +133,7 @@ def train_enhance(
         train(pairs, out, plan, start, resume, everything, terminal())
 
 
-# @@ calibrating
+# --- calibrating ---
 # `aucamp calibrate`.
 
 calibrate_app = typer.Typer(no_args_is_help=True, help="Measure what a camera's lens and gimbal really do.")

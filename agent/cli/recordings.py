@@ -118,7 +118,7 @@ def unused_page(path: Path) -> Path:
     return path if not path.exists() else next(page for page in numbers if not page.exists())
 
 
-# @@ exporting
+# --- exporting ---
 # `aucamp export`.
 
 export_app = typer.Typer()
@@ -166,7 +166,7 @@ def export_command(
     terminal().print(said, markup=False, highlight=False)
 
 
-# @@ reconstructing
+# --- reconstructing ---
 # `aucamp reconstruct`.
 
 reconstruct_app = typer.Typer()

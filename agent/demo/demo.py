@@ -63,7 +63,7 @@ from hw.twin.scene import scene_of
 from hw.twin.truth import target_creatures, target_solids
 from hw.twin.twin_folder import twin_dir
 
-# @@ fleet
+# --- fleet ---
 # The fleet of a demo: the first robots of a fleet file, all in the twin, which knows the places of their targets.
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -169,7 +169,7 @@ def _has_its_targets(fleet: Fleet, path: Path) -> None:
             load_box_tracker(*model_files(Path(target.models)))
 
 
-# @@ endpoints
+# --- endpoints ---
 # Where the robots of a demo listen: where their fleet file says if that is free, else on other ports.
 #
 # A demo binds its ports only when it has calibrated its cameras. Until then nothing shows that they are taken. So it
@@ -205,7 +205,7 @@ def _hold(endpoints: Sequence[str], held: contextlib.ExitStack) -> bool:
     return True
 
 
-# @@ look
+# --- the page of a demo ---
 # The page of a demo: a process of its own, as a user would start it, and where it is to be opened.
 
 PAGE_READY_S = 60.0  # of the wall
@@ -225,7 +225,7 @@ def open_page(fleet: Fleet, path: Path, processes: Crew) -> str:
     return f"\nlook at it, and give orders, in a browser on this machine:\n  {address}\n"
 
 
-# @@ demo
+# --- demo ---
 
 CALIBRATE_S = 300.0  # of the wall; a bench needs about ten seconds, and minutes beside other work
 READY_S = 300.0  # of the wall; the first start compiles the twin's kernels

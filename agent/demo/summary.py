@@ -25,7 +25,7 @@ from agent.core.messages import State, Symmetric, Vector
 from replay.check.reexecute import black_boxes, open_boxes
 from replay.report.creature_track import CreatureTrack, Held, creature_track
 
-# @@ coverage
+# --- coverage ---
 # How far a survey has come, by what robots tell each other of it.
 
 
@@ -102,7 +102,7 @@ class SurveyWatch:
         yield f"keyframes that all hold: {each}; maps {'are equal' if told['maps_equal'] else 'differ'}"
 
 
-# @@ history
+# --- what robots showed ---
 # What the robots of a demo showed, by target and robot.
 
 
@@ -129,7 +129,7 @@ class History(NamedTuple):
 
 Histories = dict[str, dict[str, History]]  # by target, then by robot
 
-# @@ following
+# --- following ---
 # What following a target that swims was worth: who saw it when, and how far off its track each robot was.
 #
 # Judged from when all robots know of it to the end, from the black boxes and the twin's truth. A fish is not a point:
@@ -304,7 +304,7 @@ def _times_lost(sees: np.ndarray) -> int:
     return sum(0.1 * gap > LOST_S for gap in _gaps(sees))
 
 
-# @@ summary
+# --- summary ---
 
 PASS_PERCENT = 0.4  # the paper's final relative error (section 6)
 SIGMAS = 3.0  # how many of its own standard deviations an estimate may lie outside of a thing in a box

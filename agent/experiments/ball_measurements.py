@@ -56,7 +56,7 @@ from hw.twin.physics.sensors import CORNERS, DRIFT_M_S, NOISE_M
 from hw.twin.scene import Scene, Solid, generator, load_scene
 from hw.twin.truth import PaintedTag
 
-# @@ posed_robot
+# --- posed robot ---
 # A robot of the twin put where one likes: its camera behind its own servos, on the bench first, then in the water.
 #
 # Time is virtual. The lens, its motor and the servos are those of one robot throughout, so a calibration made on the
@@ -128,7 +128,7 @@ def rotation_of(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
     return np.asarray(rz @ ry @ rx)
 
 
-# @@ measured_level
+# --- measured level ---
 # What four drifting pressure sensors make of a robot's depth, roll and pitch: drawn from the twin's own figures.
 
 DIVE_S = 120.0  # sensors have drifted for up to so long
@@ -144,7 +144,7 @@ def level_of(depth_m: float, roll_deg: float, pitch_deg: float, rng: np.random.G
     return depth_m + float(error_m.mean()), roll_deg - roll_off, pitch_deg + pitch_off
 
 
-# @@ ball_measurements
+# --- ball measurements ---
 
 ROBOT = "r1"
 RANGE_M = (0.25, 1.20)  # camera to ball
@@ -318,7 +318,7 @@ def _no_camera() -> NoReturn:
     raise CameraError("frames are handed over")
 
 
-# @@ board_host
+# --- board host ---
 # The driver's own half of the tether (hw.stm32.protocol), in the virtual time of a dive that goes in lock-step.
 #
 # It talks to a board of the twin on its real pty, and is called once a tick.

@@ -80,7 +80,7 @@ def run(settings: Settings, progress: Progress) -> Result:
     )
 
 
-# @@ tables
+# --- tables ---
 # The fitted curve, its worth, and a verdict in words.
 
 
@@ -90,7 +90,7 @@ def table(result: Result) -> Group:
     return Group(result_table(fit, left_out), verdict(fit, left_out))
 
 
-# @@ figures
+# --- figures ---
 # Measurements, curve and errors.
 
 

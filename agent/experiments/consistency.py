@@ -91,7 +91,7 @@ def summary(measurements: list[Row], cue: str, low_m: float, high_m: float) -> R
     }
 
 
-# @@ tables
+# --- tables ---
 # Normalised errors by range and cue, and why there was no measurement.
 
 

@@ -175,7 +175,7 @@ class DarkWater:
         return Swept(spread * slope, len(good) / draws, float(np.median([peak.sigma for peak in good])) * slope)
 
 
-# @@ model_check
+# --- model check ---
 # How good the models of light are: the kernel's and the twin's veil against fresh Monte Carlo, what a lamp costs to
 # draw, and whether the model's information says what sweeps then show.
 

@@ -47,7 +47,7 @@ from agent.tools.focus_calibration import FocusRow, fit_focus
 from hw.camera.camera import Roi
 from hw.twin.optics.lens import PRESETS
 
-# @@ balls
+# --- one ball ---
 # One ball alone at three distances: its range from focus alone, from its apparent size alone, and from both.
 
 BALL_M, BALL_PLACES = (0.3, 0.5, 1.0), 4  # camera to the ball's centre, and from how many sides each
@@ -91,7 +91,7 @@ def rms(values: list[float]) -> float | None:
     return math.sqrt(sum(v * v for v in values) / len(values)) if values else None
 
 
-# @@ wall
+# --- flat wall ---
 # Calibrate a still camera of the twin against a flat wall, with the sweep and the blocks that measure depth later.
 #
 # A wall square to the camera is all at one distance, so every block of the picture's middle measures the same: their
@@ -143,7 +143,7 @@ def wall_peak(camera: StillCamera, view: TankView, growth: float) -> tuple[float
     return (float(np.median(peaks.lens_position[good])), float(np.median(peaks.width[good]))) if good.any() else None
 
 
-# @@ run
+# --- the run ---
 
 SENSORS: tuple[Sensor, ...] = ("crop_1280", "imx519_640")  # the finer one first: the targets are for it
 METHODS: tuple[Method, ...] = ("matched", "parabola", "argmax")
@@ -337,7 +337,7 @@ def missed(cases: list[Row]) -> list[str]:
     return found
 
 
-# @@ tables
+# --- tables ---
 # Errors of depth by sensor, peak and range; a ball's range by cue; what enhancement would do; what was missed.
 
 
@@ -396,7 +396,7 @@ def enhanced_line(one: Row) -> str:
     )
 
 
-# @@ figures
+# --- figures ---
 # A figure for each view: what is seen, what the blocks say, what is true, and the difference.
 
 

@@ -27,7 +27,7 @@ from hw.camera.camera import Image
 from hw.twin.optics.raycast import Floats
 from hw.twin.scene import SceneWater, Solid, generator, load_scene
 
-# @@ ball_views
+# --- ball views ---
 # Views of a ball on the twin in every kind of water, with the outline that the ball really has in the picture.
 #
 # A world is one tank of water with one ball and two stones; of each view there is also the picture without the ball.
@@ -159,7 +159,7 @@ def _pairs(values: NDArray[T], axis: int) -> tuple[NDArray[T], NDArray[T]]:
     return (values[:-1], values[1:]) if axis == 0 else (values[:, :-1], values[:, 1:])
 
 
-# @@ run
+# --- the run ---
 
 Find = Callable[[Image, CameraFit], Ball | None]
 
@@ -279,7 +279,7 @@ def summary(group: list[Outcome]) -> Row:
     }
 
 
-# @@ tables
+# --- tables ---
 # Rates and errors by water, image and focus, over all ranges.
 
 

@@ -29,7 +29,7 @@ from agent.process.command import Progress, step_by_step
 from hw.camera.camera import Image
 from hw.camera.files import picture_files, read_picture
 
-# @@ marked_pictures
+# --- marked pictures ---
 # A folder of a user's own pictures, and truth.csv, which says where in them the balls are.
 #
 # One row a ball: `file`, `colour`, `u_px`, `v_px`, `radius_px`, and if wanted `tol_px`, by how much centre and radius
@@ -106,7 +106,7 @@ def _number(text: str, where: str) -> float:
     return value
 
 
-# @@ picture_run
+# --- picture run ---
 
 NEAR_ENOUGH = 0.2  # of the radius, in centre and in radius, as on the twin
 HFOV_DEG = 10.0
@@ -288,7 +288,7 @@ def _found(ball: Ball | None) -> list[float] | None:
     return None if ball is None else [*_circle(ball), round(ball.radius_sigma_px, 2), round(ball.score, 3)]
 
 
-# @@ picture_tables
+# --- picture tables ---
 # What was found in a folder of pictures, by colour and radius.
 
 
@@ -324,7 +324,7 @@ def _percent(row: Row) -> str:
     return "-" if row["radius_error_median"] is None else f"{100 * row['radius_error_median']:.1f} %"
 
 
-# @@ picture_figures
+# --- picture figures ---
 # Pictures with circles: white where a marked ball was found, red where one was missed, yellow where there is none.
 
 SHEET_COLUMNS, ROWS = 4, 4  # of a sheet

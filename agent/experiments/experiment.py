@@ -21,7 +21,7 @@ from rich.console import Console, RenderableType
 from agent.core.config import WaterKind
 from agent.process.command import Failed, Progress, run_folder, with_bar
 
-# @@ result
+# --- result ---
 # What an experiment found, as it goes into result.json.
 
 NAME = "result.json"
@@ -52,7 +52,7 @@ def write_result(result: ExperimentResult, folder: Path) -> None:
     (folder / NAME).write_text(json.dumps(result.as_json(), indent=1) + "\n", encoding="utf-8")
 
 
-# @@ figure_files
+# --- figure files ---
 # The figures of an experiment, as they go into its folder.
 
 Figures = Iterator[tuple[str, Figure]]  # file name and figure; the name's suffix says how it is written
@@ -65,7 +65,7 @@ def write_figures(figures: Figures, folder: Path) -> None:
             figure.savefig(folder / name, metadata={"Date": None} if name.endswith(".svg") else None)
 
 
-# @@ perform
+# --- perform ---
 
 S = TypeVar("S")
 R = TypeVar("R", bound=ExperimentResult)
@@ -101,7 +101,7 @@ def perform(
     return result
 
 
-# @@ pieces
+# --- pieces ---
 # Many draws of many cases on all processors, with one progress bar.
 
 
@@ -137,7 +137,7 @@ def all_draws(tasks: Sequence[Task], progress: Progress) -> list[list[Any]]:
     return [[draw for first in sorted(parts) for draw in parts[first]] for parts in found]
 
 
-# @@ spread
+# --- spread ---
 # How cases are summed up of which some never come to an end: a median of which half never do is no number.
 
 
@@ -167,7 +167,7 @@ def number_or_never(value: float | None) -> str:
     return "never" if value is None else f"{value:.2f}"
 
 
-# @@ choices
+# --- choices ---
 # Names that an experiment can be asked for. The command line reads them before anything else: nothing heavy here.
 
 Sensor = Literal["imx519_640", "binned_640", "crop_1280"]  # the presets of hw.twin.optics.lens

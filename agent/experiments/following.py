@@ -23,7 +23,7 @@ from agent.experiments.following_dive import FLEET, WATCH_S, Case, Draw, all_cas
 from agent.experiments.navigation.basin import TANK
 from agent.process.command import Progress
 
-# @@ counts
+# --- counts ---
 # From what happened to figures: who saw it, how well it was known, and how soon one that lost it had it again.
 
 LOST_S = 0.4  # not seen for longer: lost, as the kernel has it (control/gaze.py)
@@ -130,7 +130,7 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-# @@ bars
+# --- targets ---
 # What three robots that share have to show on the twin, at each speed, and what lost words may cost them.
 
 
@@ -196,7 +196,7 @@ def _meets(bar: Bar, value: float | None) -> bool:
     return value is not None and (bar.least is None or value >= bar.least) and (bar.most is None or value <= bar.most)
 
 
-# @@ run
+# --- the run ---
 
 ENOUGH = 20  # seeds
 WORLDS = 1000  # of one --seed
@@ -245,7 +245,7 @@ def worlds(case: Case, world: int, first: int, last: int, watch_s: float = WATCH
     return [dive(case, world + k, watch_s) for k in range(first, last)]
 
 
-# @@ tables
+# --- tables ---
 # A line for each case, and three robots that share beside their bars.
 
 COLUMNS = (
@@ -307,7 +307,7 @@ def _figure(key: str, value: float | None) -> str:
     return f"{value:.1%}" if key in COLUMN_SHARES else f"{value:.3g}"
 
 
-# @@ figures
+# --- figures ---
 # How soon who lost it has it again, and one fleet's dive: who saw it when, and how far off they believed it.
 
 

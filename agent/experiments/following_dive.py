@@ -39,7 +39,7 @@ from hw.twin.creatures import STRIDE, Attitude, swimming
 from hw.twin.dive import RobotPose
 from hw.twin.scene import Creature, generator
 
-# @@ cases
+# --- cases ---
 # Which fleets follow it, and how they talk.
 
 LENGTH_M = 0.15  # of the fish
@@ -72,7 +72,7 @@ def all_cases(only: FollowingPolicy | None = None, robots: int | None = None) ->
     return tuple(case for case in cases if only in (None, case.policy) and robots in (None, case.robots))
 
 
-# @@ basin
+# --- basin ---
 # The fleet of a draw, where it begins, and the weeds that hide its target.
 
 STANDOFF_M = 0.7
@@ -126,7 +126,7 @@ def weeds(seed: int) -> tuple[Pillar, ...]:
     return tuple(found)
 
 
-# @@ drawn_fish
+# --- drawn fish ---
 # What one robot's camera would tell of a fish that swims: the box around what it shows of itself, never rendered.
 #
 # The body is the twin's, bent as it swims: seen from the side its box is three times as wide as head-on. So how far
@@ -197,7 +197,7 @@ class DrawnFish(DrawnTarget):
         return low, high
 
 
-# @@ dive
+# --- dive ---
 
 FIND_S, WATCH_S = 20.0, 30.0
 COVERED_S = 10.0, 15.0  # of the watch

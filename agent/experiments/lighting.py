@@ -22,7 +22,7 @@ from agent.experiments.dark_water import WATERS, DarkWater, Stand, Swept, lamp_p
 from agent.experiments.experiment import ExperimentResult, Figures, Row
 from agent.process.command import Progress, step_by_step
 
-# @@ policies
+# --- policies ---
 # Whose lamps burn while somebody sweeps: the rule, what it is compared with, and what lost messages make of it.
 
 Names = frozenset[str]
@@ -92,7 +92,7 @@ def after_loss(name: str, wanted: Names, loss: float, rng: np.random.Generator) 
     return frozenset(reached | own)
 
 
-# @@ bars
+# --- targets ---
 # What the rule has to be worth, and which of it a run misses.
 
 ENOUGH = 4  # fleets of each size: with fewer there is no verdict
@@ -148,7 +148,7 @@ def reach_m(ladder: dict[tuple[str, float], Row], policy: str) -> float:
     return max((d for (who, d), row in ladder.items() if who == policy and row["accepted"] >= 0.5), default=0.0)
 
 
-# @@ run
+# --- the run ---
 
 LADDER_M = (0.75, 1.0, 1.25, 1.5, 1.8, 2.1, 2.5)  # camera to ball, two neighbours' lamps 0.6 m from it
 NEIGHBOURS = (("r2", 0.6, 30.0), ("r3", 0.6, -45.0))
@@ -296,7 +296,7 @@ def _summary(swept: Sequence[Swept]) -> Row:
     }
 
 
-# @@ tables
+# --- tables ---
 # The tables of the experiment: by distance, by fleets, and how good the models are.
 
 
@@ -352,7 +352,7 @@ def _model(result: Result) -> Table:
     return shown
 
 
-# @@ figures
+# --- figures ---
 # Figures of the experiment: sigma over distance, and what fleets gain.
 
 

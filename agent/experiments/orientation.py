@@ -35,7 +35,7 @@ from hw.twin.physics.sensors import CORNERS, LATE_SAMPLES
 from hw.twin.physics.tank import TICK_NS, Plant
 from hw.twin.scene import generator
 
-# @@ settling
+# --- settling ---
 # When a robot is back at depth and level, from the twin's truth, one sample per control cycle of 10 ms.
 #
 # A time that does not exist is `None`.
@@ -112,7 +112,7 @@ def score_step(track: Track, start_m: float, goal_m: float) -> Row:
     }
 
 
-# @@ manoeuvre
+# --- manoeuvre ---
 # Up to five robots in the twin's tank go through one manoeuvre together, each with its own firmware process.
 #
 # Virtual time in lock-step: water, sensors and firmware take turns, however fast the machine is. The host's half is
@@ -246,7 +246,7 @@ def tank(names: Sequence[str], world: int) -> Fleet:
     return Fleet(fleet="hover", target={"ball": Target(radius_m=0.07)}, robot=robots, twin=Twin(seed=world))
 
 
-# @@ run
+# --- the run ---
 
 LAWS = ("observer", "pid", "pi")
 DEFAULT_LAW = LAWS[0]
@@ -434,7 +434,7 @@ def missed(figures: Row) -> list[str]:
     return found
 
 
-# @@ tables
+# --- tables ---
 # Laws by lags, and the default law on robots that it does not know.
 
 COLUMNS = (
@@ -500,7 +500,7 @@ def cells(figures: Row) -> list[str]:
     ]
 
 
-# @@ figures
+# --- figures ---
 # The paper's figure of a push or a step: what the host saw above, what was true below, one column for each law.
 
 BEFORE_S = 1.0

@@ -146,7 +146,7 @@ def shifts(raw: list[DepthMap], after: list[DepthMap], slope: list[Array], step:
     }
 
 
-# @@ tables
+# --- tables ---
 # Shifts of the peak by water and way to enhance.
 
 COLUMNS = {"mean_steps": "+.2f", "median_steps": ".2f", "p95_steps": ".2f", "median_mm": ".1f", "p95_mm": ".1f"}

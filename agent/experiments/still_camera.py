@@ -100,7 +100,7 @@ class StillCamera:
         return ahead, right, np.cross(ahead, right)
 
 
-# @@ sweeps
+# --- sweeps ---
 # Sweeps of a still camera's lens over views of the tank and over its wall, with the truth for every block.
 #
 # Lens positions are equally spaced over the whole range, always from the lowest up: one direction, one hysteresis.

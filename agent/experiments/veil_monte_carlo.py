@@ -25,7 +25,7 @@ from agent.capabilities.light.model import single_veil
 from agent.core.config import Beam, WaterOptics
 from hw.compiled import compiled
 
-# @@ scattering
+# --- scattering ---
 # Particles as the Monte Carlo draws them: Fournier-Forand from its own closed cumulative, apart from the kernel's and
 # the twin's, so that neither proves itself.
 #
@@ -91,7 +91,7 @@ def particles(straight_rad: float = SMALLEST_RAD) -> Particles:
     return Particles(log_phase, np.cos(drawn), np.log(filled / share[-1]), np.cos(aimed), 1 - straight)
 
 
-# @@ monte_carlo
+# --- monte carlo ---
 
 LAMP_M = 0.015  # its radius; no water is nearer to its middle
 ALONG, POINT, SURFACE = range(3)  # what is asked for: a camera's ray, one point of it, a surface that faces the lamp
@@ -342,7 +342,7 @@ def _batch(
     return found / paths
 
 
-# @@ veil_nodes
+# --- veil nodes ---
 # The nodes of both tables of scattered light, drawn by Monte Carlo: of the kernel's along a camera's axis, of the
 # twin's at a point of the water.
 
@@ -452,7 +452,7 @@ def _asked(seen: Setting, tau: float, off_rad: float) -> Iterator[tuple[tuple[in
         yield (k, m), seen._replace(start_m=start_m, way=(-light[0], -light[1], -light[2]))
 
 
-# @@ smooth
+# --- smooth ---
 # A table of drawn values made smooth: as near to them as their errors ask, and bent as little as that allows.
 
 BEND = 0.15  # standard deviation of a second difference between neighbours, in the logarithm: what real ones have
@@ -508,7 +508,7 @@ def _bending(x: Array) -> Array:
     return total
 
 
-# @@ make_tables
+# --- make tables ---
 # `python -m agent.experiments.veil_monte_carlo [kernel] [twin]`: both tables of scattered light, from Monte Carlo.
 #
 # Minutes of one core. The same seeds make the same tables on one machine.

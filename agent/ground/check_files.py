@@ -40,7 +40,7 @@ from hw.twin.scene import scene_of
 from hw.twin.truth import target_solids
 from replay.files.log import Limits
 
-# @@ finding
+# --- findings ---
 # One thing that was looked at before a fleet dives, and what came of it.
 
 Level = Literal["ok", "warning", "wrong"]
@@ -63,7 +63,7 @@ def tried(about: str, attempt: Callable[[], str], otherwise: Level = "wrong") ->
         return Finding(otherwise, about, str(error))
 
 
-# @@ addresses
+# --- addresses ---
 # Where robots listen: which of them belong to this computer, and whether their ports are free.
 
 
@@ -134,7 +134,7 @@ def links(fleet: Fleet) -> Iterator[Finding]:
         yield Finding("ok", "fleet", text)
 
 
-# @@ files
+# --- files ---
 
 OPEN_FILES = 1024  # that a process may have at once: fifty links in full mesh took 119 of them
 HOUR_BYTES = 1.2e9  # what a robot records in an hour, at most: 30 MB in the 90 s of a demo
@@ -263,7 +263,7 @@ def files_finding() -> Finding:
     return Finding("ok", "computer", "processes may open files enough")
 
 
-# @@ certificates
+# --- certificates ---
 # Whether the certificates of a secured fleet can be used on this computer, and for how long.
 
 SOON_DAYS = 14.0  # before a certificate ends

@@ -30,7 +30,7 @@ from agent.robot.fleet_reader import load_fleet
 from agent.robot.operator import why_closed
 from router_config.settings import metadata, observer_config
 
-# @@ judge
+# --- judgement ---
 # What a look at a running fleet means: one line for each thing that is not as it should be. Pure.
 
 Said = Mapping[str, str]  # by what robots of this fleet file would call themselves: metadata
@@ -126,7 +126,7 @@ def _strangers(fleet: Fleet, facts: Facts) -> Iterator[Finding]:
             yield Finding("warning", "fleet", text)
 
 
-# @@ neighbours
+# --- who hears whom ---
 # Who hears whom: what robots say of their neighbours, and whether those are linked at all. Pure.
 
 QUIET_S = 2.0  # without a word: as long as a link keeps without its other end
@@ -187,7 +187,7 @@ def _is_shown(facts: Facts, name: str) -> bool:
     return name in facts.links and facts.links[name].session in facts.shown
 
 
-# @@ causes
+# --- causes of failed dials ---
 # What a failed dial means, in words that say what to do: the tables. Pure.
 #
 # The words on the left are those of Python's socket and ssl modules with OpenSSL 3, as seen with Zenoh 1.10.2.
@@ -252,7 +252,7 @@ def ours(reason: str, shown: bool) -> str | None:
     return f"turns our certificate down ({reason}); {RENEW}"
 
 
-# @@ probe
+# --- probe ---
 # Whether somebody answers where a robot should listen, and what is wrong with the certificates, theirs or ours.
 #
 # Zenoh tells nobody why a handshake failed. Python's own TLS does: the server's faults before the handshake is over,
@@ -345,7 +345,7 @@ def _left(most_s: float, deadline_s: float) -> float:
     return max(0.05, min(most_s, deadline_s - machine.monotonic_s()))
 
 
-# @@ who
+# --- identity of the onlooker ---
 # As whom a fleet is looked at, and what that name has on this computer to show for it.
 
 
@@ -386,7 +386,7 @@ def _first_with_key(fleet: Fleet, folder: Path) -> str:
     return next((name for name in names if key_file(folder, name).exists()), names[0])
 
 
-# @@ diagnosis
+# --- diagnosis ---
 # What the doctor has found, in lines for people and as JSON for programs.
 
 
@@ -413,7 +413,7 @@ class Diagnosis(NamedTuple):
         return {**about, "findings": [finding._asdict() for finding in self.findings]}
 
 
-# @@ ports
+# --- ports ---
 # The ports of all robots, dialled at the same time, and what is to be said of each.
 
 
@@ -449,7 +449,7 @@ def port_findings(fleet: Fleet, name: str, probed: Probed) -> Iterator[Finding]:
         yield Finding("warning", name, f"{listen}: {text}")
 
 
-# @@ doctor
+# --- doctor ---
 
 
 def examine(path: Path, name: str | None, folder: Path) -> Diagnosis:

@@ -99,7 +99,7 @@ def target_table(fleet: Fleet, name: str, path: Path, image: Image) -> str:
     )
 
 
-# @@ at_once
+# --- several fleets at once ---
 # Several fleets looked at by one process: a thread for each, so that what happens to one stops none of the others.
 
 T = TypeVar("T")
@@ -179,7 +179,7 @@ def at_once(jobs: Mapping[str, Callable[[Say], T]], stop: Event, say: Say) -> tu
     return {name: done[name] for name in jobs if name in done}, failed
 
 
-# @@ recording
+# --- recording ---
 # `aucamp record`: one fleet into a file, or several, each into a file of its own, by one process.
 
 
@@ -217,7 +217,7 @@ def record_fleets(paths: Sequence[Path], out: Path, stop: Event, say: Say, views
     return Recorded(done, failed)
 
 
-# @@ viewing
+# --- viewing ---
 # `aucamp view`: one fleet in Foxglove, or several, each at a port of its own, by one process.
 
 

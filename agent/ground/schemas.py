@@ -113,7 +113,7 @@ def write(folder: Path) -> list[Path]:
     return written
 
 
-# @@ decoder
+# --- decoder ---
 # What the command line of Zenoh shows of our traffic, when told `--decoder aucamp`.
 #
 # zenoh-cli finds `decode` through the entry point group `zenoh_cli.codecs.decoders`.

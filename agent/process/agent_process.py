@@ -54,7 +54,7 @@ from replay.files.info import RateNotes
 from replay.files.mcap_file import environment
 from replay.files.recover import recovering, torn_files
 
-# @@ runtime
+# --- runtime ---
 # The only loop: drain what arrived, step, log both, act. Everything with a thread or a clock is handed in.
 
 STEP_NS = 50_000_000  # 20 Hz: set-points reach the control module often enough to be its heartbeat
@@ -226,7 +226,7 @@ def say_goodbye(agent: Agent, network: Network, clock: Clock, mode: Mode = "stop
             network.show(msgspec.structs.replace(state, mode=mode, seq=state.seq + 1, sent_ns=clock.now_ns()))
 
 
-# @@ agent_process
+# --- agent process ---
 
 OPEN = "the fleet is open: who reaches a port can read it and speak as any robot; docs/access.md says how to secure it"
 

@@ -192,7 +192,7 @@ def _content(path: Path) -> bytes:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); give this user the right to") from None
 
 
-# @@ fleet_certificates
+# --- fleet certificates ---
 # The certificates of a whole fleet: who gets one, what is in it, and what each process needs of them to start.
 
 CONSOLE_FILE = "zenoh-cli.json5"  # for the program `zenoh`, on the computer where it was made

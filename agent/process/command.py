@@ -74,7 +74,7 @@ def with_spinner(console: Console, what: str) -> Iterator[Callable[[str], None]]
         yield lambda words: None
 
 
-# @@ plain_console
+# --- plain console ---
 # The terminal, on which a text stands as it was written: rich would take `[focus]` for a colour and drop it.
 
 PIPE_COLUMNS = 140  # a pipe is as wide as our widest table
@@ -87,7 +87,7 @@ def plain_console(stderr: bool = False) -> Console:
     return Console(stderr=stderr, soft_wrap=True, width=width, markup=False, emoji=False)
 
 
-# @@ failure
+# --- failure ---
 # What ends a command with exit code 1: the question was good, and the answer is no.
 
 
@@ -95,7 +95,7 @@ class Failed(RuntimeError):
     """What was asked for could not be done, through no mistake of the user's; one line that says why."""
 
 
-# @@ console_log
+# --- console log ---
 # What an agent says to the person who started it: its log as it grows, and every ten seconds where it stands.
 
 LATELY_S = 1.0  # ten messages at the default rate: younger than that is "hears"
@@ -187,7 +187,7 @@ def hears(state: State) -> list[str]:
     return [n.robot for n in state.neighbours if n.age_s is not None and n.age_s < LATELY_S]
 
 
-# @@ run_folder
+# --- run folder ---
 # Where a command writes: a new file, a folder that stays, and one that goes with the run.
 
 
@@ -245,7 +245,7 @@ def temporary_folder() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-# @@ fleet_files
+# --- fleet files ---
 # Fleet files that come with the package, found by name; and what goes with a file into another folder.
 
 FLEETS = Path(str(resources.files("agent") / "fleets"))
@@ -287,7 +287,7 @@ def with_pictures(fleet: Fleet, folder: Path) -> Fleet:
     return msgspec.structs.replace(fleet, target=targets)
 
 
-# @@ options
+# --- options ---
 # Arguments and options that several commands share, and where commands write to.
 
 FleetFile = Annotated[Path, typer.Argument(metavar="FLEET", help="Fleet file (TOML).")]

@@ -126,7 +126,7 @@ def _read(path: Path) -> tuple[bytes, int]:
         raise UnusableKeyError(f"cannot be read ({error.strerror}); give this user the right to") from None
 
 
-# @@ key_folder
+# --- key folder ---
 # The public keys of a fleet as they lie in a folder, to which people add and from which they remove while robots
 # dive.
 #
@@ -213,7 +213,7 @@ def _to_mend(found: Found) -> list[str]:
     return lines
 
 
-# @@ signing
+# --- signing ---
 # A robot's signature under what it measured itself, put there as a message leaves: nothing recorded needs the key.
 #
 # The kernel gives its own entries, samples and proposals without one, and passes on those of others with theirs.
@@ -273,7 +273,7 @@ def signing(robot: str, private: Ed25519PrivateKey) -> Sign:
     return sign
 
 
-# @@ robot_keys
+# --- robot keys ---
 # All that one robot needs to sign and to believe, from the folder that its fleet file names, read before it dives.
 
 VARIABLE = "AUCAMP_KEYS"  # names the folder of keys on this computer; goes before the fleet file's

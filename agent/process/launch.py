@@ -25,7 +25,7 @@ from replay.recorder import RollCall
 from router_config.session import Sample, Session
 from router_config.settings import ROUTER, ROUTER_LISTEN, ROUTER_LISTEN_SECURED, router_config
 
-# @@ parent_watch
+# --- parent watch ---
 # A process that ends with the one that started it, however that ended: after SIGKILL nobody can stop his children.
 #
 # They share a pipe. Only the parent can write to it, and it never does; when the parent has gone, the kernel closes
@@ -73,7 +73,7 @@ def _watch(given: int) -> None:
     os._exit(128 + signal.SIGTERM)  # it hangs, or compiles
 
 
-# @@ launch
+# --- launch ---
 
 STOP_S = GRACE_S  # from SIGTERM to SIGKILL
 
@@ -199,7 +199,7 @@ def last_line(log: Path) -> str:
     return f"{lines[-1]} (all in {log})" if lines else f"no output in {log}"
 
 
-# @@ router
+# --- router ---
 # The router: a place to look from. The swarm runs without it, and no link of the swarm passes through it.
 
 PERIOD_S = 0.1  # between two looks who is there
@@ -252,7 +252,7 @@ def check_listen(listen: str, keys: Path | None) -> None:
         )
 
 
-# @@ ports
+# --- ports ---
 # Ports of this computer: which are free, asked as Zenoh asks, by binding them for a moment.
 
 # Above the ports of the fleet files that ship and of the router, up to 29340: well below the ephemeral range.
@@ -305,7 +305,7 @@ def free_ports(count: int, first: int | None = None) -> list[int]:
     raise Failed(f"fewer than {count} free ports from {first} to {MAX_PORT}")
 
 
-# @@ stop_signal
+# --- stop signal ---
 # How a command that runs until it is ended learns that it shall end.
 
 AGAIN_S = 0.5  # a wait without end looks as often by itself

@@ -145,7 +145,7 @@ class Inboxes:
         return self._elsewhere.get(row[1]["src"]) if row and row[0] is LINK else None
 
 
-# @@ order_box
+# --- orders ---
 # Orders between two steps: queries are kept until the step that took them has been recorded, and then answered.
 #
 # Zenoh's threads only judge a query by its outside and keep it. One is answered there, at once: it asks what time it
@@ -265,7 +265,7 @@ class OrderBox:
             query.drop()
 
 
-# @@ tokens
+# --- liveliness tokens ---
 # Who stands at the other ends of our links: two agents of one name, and robots of another fleet.
 #
 # Each agent shows a token with its fleet, its name and its session. Tokens reach those that are linked and nobody
@@ -363,7 +363,7 @@ class Tokens:
                 )
 
 
-# @@ strangers
+# --- links of strangers ---
 # Who is linked to a robot of a secured fleet and has no business there: somebody with a certificate of our authority.
 #
 # The access rules believe them nothing and tell them nothing, and say so to nobody: people are told here.

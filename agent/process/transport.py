@@ -201,7 +201,7 @@ class Observer:
             self._received.append(Received(*row, sample.payload(), at_ns))
 
 
-# @@ fleet_clock
+# --- fleet clock ---
 # Which clock a fleet lives by: that of its dive in the twin, or the system's.
 
 

@@ -26,7 +26,7 @@ from hw.camera.open import open_camera
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# @@ depth_picture
+# --- depth picture ---
 # A depth map as a picture, drawn by OpenCV: the library for figures takes longer to draw than the map to measure.
 
 PANEL_PX = 640  # a panel's longer side, at most
@@ -126,7 +126,7 @@ def text(page: Image, words: str, at: tuple[int, int], anchor: str = "start") ->
     cv2.putText(page, words, (x, at[1]), font, size, INK, 1, cv2.LINE_AA)
 
 
-# @@ depth_ranges
+# --- depth ranges ---
 # What a calibration makes of the peaks of a map, in words: how many have a range, why the others have none.
 #
 # Nothing in a sweep says which camera took it. But peaks that the calibration cannot give a range to, that lie where
@@ -195,7 +195,7 @@ def _metres(focus: FocusFit, lens_position: float) -> str:
     return "no range" if range_m is None else f"{range_m:.2f} m"
 
 
-# @@ depth_files
+# --- depth files ---
 # A depth map as a table; and its squares in a figure of matplotlib.
 
 Line = list[object]
@@ -265,7 +265,7 @@ def draw_cells(
     axes.figure.colorbar(cells, cax=bar, label=label, extend="both")
 
 
-# @@ depth_map
+# --- depth map ---
 
 
 def depth_map(

@@ -34,7 +34,7 @@ from agent.perception.enhancement.enhance import (
 from agent.process.command import Progress, with_bar
 from agent.tools.enhance import Size, paired, read_pair
 
-# @@ warm
+# --- warm colours ---
 # Whether warm colours stay warm: of the pixels that are red to yellow and vivid, how many still are.
 #
 # A red buoy that comes out olive costs a picture hardly a tenth of a decibel, and its finder everything. Hue and
@@ -86,7 +86,7 @@ def _hue_chroma(image: Image) -> tuple[NDArray[np.float32], NDArray[np.float32]]
     return np.asarray(np.degrees(np.arctan2(b, a)) % 360, np.float32), np.asarray(np.hypot(a, b), np.float32)
 
 
-# @@ metrics
+# --- metrics ---
 # How good a picture is: PSNR, SSIM and warm colours against a reference, UCIQE and UIQM without one.
 #
 # Pictures are (height, width, 3) uint8, blue green red. PSNR is one figure over all three colours, SSIM is taken on
@@ -203,7 +203,7 @@ def _michelson_entropy(plane: Plane) -> float:
     return float(-(m * np.log(np.where(m > 0, m, 1))).mean())
 
 
-# @@ summary
+# --- summary ---
 # Several enhancements side by side: means over the pictures, colours kept, and how many pictures were made worse.
 
 WORSE_DB = 0.3  # below the picture as it was: less is not seen
@@ -252,7 +252,7 @@ def percent(share: float) -> str:
     return "-" if math.isnan(share) else f"{100 * share:.0f} %"
 
 
-# @@ evaluate
+# --- evaluate ---
 
 OWN_SIZE = "own"  # as --size: each picture as large as it is
 LEAST_PX = 16  # a side; SSIM's window has 11

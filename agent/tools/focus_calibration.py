@@ -24,7 +24,7 @@ from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import TiltedPeak, with_sag
 from agent.process.command import Failed, free_name
 
-# @@ fit
+# --- fit ---
 # Fit what calibration measured: the focus hyperbola. And how such fits are made, on a handful of unknowns: by Gauss-
 # Newton with Huber weights.
 #
@@ -176,7 +176,7 @@ def _held_out_m(u: Array, rho: Array, trust: Array, distance: float) -> Array:
     return error
 
 
-# @@ calibration_file
+# --- calibration file ---
 # A calibration file that is made of parts: one table of it is measured anew, what it said before is kept beside it.
 
 TABLES = ("focus", "camera")
@@ -219,7 +219,7 @@ def put(path: Path, table: str, fields: dict[str, Any], source: Path) -> str:
     return said + "".join(f"\n[{each}] is missing; a robot needs it: aucamp calibrate {each}" for each in missing)
 
 
-# @@ focus_table
+# --- focus table ---
 
 REQUIRED = ("u_mm", "code")
 OPTIONAL = ("camera", "direction", "repeat", "score", "width", "tilt_deg", "temp_c", "medium", "sweep_id")

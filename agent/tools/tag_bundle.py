@@ -18,7 +18,7 @@ from agent.capabilities.swim.projection import BENT_PX, EDGE_AT, EDGE_PX, FOUND_
 from agent.core.step_io import SeenTag
 from agent.perception.tags import Array
 
-# @@ rotation
+# --- rotation ---
 # Small turns as vectors, and rotations: right-handed, rad.
 
 
@@ -50,7 +50,7 @@ def turned_by(rotation: Array) -> Array:
     return out
 
 
-# @@ survey_bundle
+# --- survey bundle ---
 
 HUBER = 4.0  # of a tag's eight residuals, whose mean length is 2.8
 PASSES = 40

@@ -26,7 +26,7 @@ from agent.process.command import new_file, new_folder, plain_console, run_folde
 from agent.tools.enhance import Picture, Pictures, pictures
 from hw.camera.camera import Image
 
-# @@ followed_pictures
+# --- followed pictures ---
 # Pictures with the box that was followed drawn in: a folder of them, or a video.
 
 VIDEOS = {".mp4": "mp4v", ".avi": "MJPG"}  # suffix -> codec that every OpenCV writes
@@ -96,7 +96,7 @@ def _save(folder: Path, image: Image, name: str) -> None:
         raise ConfigError(f"{path}: cannot be written; choose another folder")
 
 
-# @@ track_truth
+# --- track truth ---
 # How well a followed box agrees with boxes that somebody has marked: `aucamp track SOURCE --truth FILE`.
 
 ON_TARGET_IOU = 0.5  # from here on a box is on the thing, as in most tests of trackers
@@ -234,7 +234,7 @@ def table(score: Score) -> Table:
     return shown
 
 
-# @@ follow_box
+# --- follow box ---
 
 HEADER = "picture,t_s,x_px,y_px,width_px,height_px,score,state"
 

@@ -28,7 +28,7 @@ from agent.tools.evaluate_enhance import Quality, judge, psnr, ssim
 from agent.tools.training_pairs import Pairs, augmented, folds
 from agent.tools.training_scenes import Image
 
-# @@ losses
+# --- losses ---
 # What training minimises: RGB + LAB + LCH + (1 - SSIM), as LU2Net's authors train (arXiv 2406.14973), and the colour
 # of warm things.
 #
@@ -118,7 +118,7 @@ def _cross_entropy(ours: Tensor, theirs: Tensor) -> Tensor:
     return (log_theirs.exp() * (log_theirs - log_ours)).sum(0).mean()
 
 
-# @@ train
+# --- train ---
 
 SIZES = ((64, 10), (96, 5), (96, 5), (128, 3), (160, 2))  # px a side and pictures a batch; each step draws one
 NARROWEST = 0.6  # share of a picture that a crop keeps at least
@@ -315,7 +315,7 @@ def validate(net: LU2Net, pairs: Pairs) -> tuple[float, float]:
     return mean_psnr_db, mean_ssim
 
 
-# @@ validate
+# --- validate ---
 # What an enhancement is worth on real pairs: beside the simple methods, and on scenes that it was not trained on.
 
 Method = Callable[[Image], Image]

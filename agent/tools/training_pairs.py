@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.core.config import ConfigError, Tank
-from agent.process.command import Progress
+from agent.process.command import Progress, new_file
 from agent.tools.enhance import paired, read_pair
 from agent.tools.training_scenes import (
     FAR,
@@ -48,7 +48,7 @@ from hw.twin.optics.painter import Painter
 from hw.twin.optics.raycast import Chessboard, Eye, Hull
 from hw.twin.scene import SceneWater, Solid, load_scene
 
-# @@ augment
+# --- augment ---
 # What a hundred real pairs are made of to stand for all water: their own, other water, and hardly any.
 #
 # A pair is used in one of three ways. As it is, with another white balance, exposure and contrast of the camera. Its
@@ -137,7 +137,7 @@ def linear(image: Image) -> Picture:
 
 _LINEAR = ((np.arange(256) / 255) ** GAMMA).astype(np.float32)
 
-# @@ renders
+# --- renders ---
 # Views of the tank twin with the water on and off: same eye, same surfaces, exact ranges.
 #
 # The twin's tank is a metre across and its default water is clear, so half of the views keep the twin's own water,
@@ -219,7 +219,7 @@ def _recoloured(picture: Picture, rng: np.random.Generator) -> Picture:
     return np.asarray(np.clip(mixed, 0.005, 1.5), np.float32)
 
 
-# @@ dataset
+# --- dataset ---
 
 VIEWS_PER_TANK = 40  # a tank takes a second to fill
 NO_WATER = 0.1  # share of them that are as good as they shall be already
@@ -307,7 +307,7 @@ def _read(file: Path) -> Image:
     return read_picture(file)
 
 
-# @@ scene_pairs
+# --- pairs by scene ---
 # Pairs of pictures from two folders, and which of them show the same scene.
 
 HASH_SIDE = 16  # 256 bits
@@ -368,3 +368,50 @@ def folds(scene: NDArray[np.str_], count: int, seed: int) -> NDArray[np.intp]:
         place[names[i]] = fold
         filled[fold] += int(sizes[i])
     return np.array([place[name] for name in scene])
+
+
+# --- what is asked of a training ---
+# As far as it can be judged without torch, whose import takes seconds.
+
+ENDS_IN = ".safetensors"
+
+
+def check(
+    pairs: tuple[Path, Path] | None, start: Path | None, out: Path | None, resume: bool, cross_validate: int | None
+) -> None:
+    """Raises ConfigError for options that do not go together, for files and folders that are not there, and for those
+    that are there and would be overwritten."""
+    if resume and out is None:
+        raise ConfigError("--resume needs --out, the weights whose checkpoint lies beside it")
+    if cross_validate is not None and (pairs is None or start is None):
+        raise ConfigError("--cross-validate needs --pairs RAW REFERENCE and --start WEIGHTS")
+    if start is not None and not start.is_file():
+        raise ConfigError(f"{start}: no such file; give weights that `aucamp train enhance` wrote, hash beside")
+    if out is not None and cross_validate is None:
+        if out.suffix != ENDS_IN:
+            raise ConfigError(f"{out}: give --out a name that ends in {ENDS_IN}")
+        _check_resumed(out) if resume else _check_new(out)
+    if pairs is not None:
+        paired(*pairs)
+
+
+def _check_new(out: Path) -> None:
+    if checkpoint_of(out).exists() and not out.exists():
+        raise ConfigError(
+            f"{checkpoint_of(out)}: is there already, of a training that was cut off; go on with --resume, "
+            "or give --out another name"
+        )
+    for file in (out, *(out.with_suffix(end) for end in (".checkpoint", ".csv", ".png"))):
+        new_file(file)
+
+
+def _check_resumed(out: Path) -> None:
+    if not checkpoint_of(out).is_file():
+        raise ConfigError(f"{checkpoint_of(out)}: no such checkpoint; start anew without --resume")
+    if out.with_name(out.name + ".sha256").exists():  # the last file that a training writes
+        raise ConfigError(f"{out}: this training has ended; train on with --start {out} and another --out")
+
+
+def checkpoint_of(weights: Path) -> Path:
+    """Where a run that is to write `weights` keeps what it needs to go on."""
+    return weights.with_suffix(".checkpoint")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from agent.core.config import ConfigError
 
-# @@ degrade
+# --- degrade ---
 # Water put into a picture, and the picture that the enhancement shall make of it.
 #
 # I = J exp(-bD z) + B (1 - exp(-bB z))        (Akkaynak and Treibitz, CVPR 2018), per colour, in linear light
@@ -182,7 +182,7 @@ def _bytes(coded: Picture) -> Image:
     return (np.clip(coded, 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
-# @@ landscapes
+# --- landscapes ---
 
 BANK, SHEETS = 512, 12  # px a side; how many sheets of noise are kept to cut from
 FAR = 8.0  # range of open water, in units of the terrain's
@@ -281,7 +281,7 @@ def _step(value: Plane, softness: float) -> Plane:
     return np.asarray(1 / (1 + np.exp(np.clip(-value / np.float32(softness), -30, 30))), np.float32)
 
 
-# @@ things
+# --- vivid things ---
 # Vivid things for the training pictures: buoys, fish, starfish, growth, most of them red, orange or yellow.
 #
 # Sea floors are dull, and a network that sees nothing else learns that warm colours are an error of the water. Green
@@ -378,7 +378,7 @@ def _lit(body: Picture, u: Plane, v: Plane, rho: Plane, rng: np.random.Generator
     return np.asarray(cv2.GaussianBlur(shaded, (0, 0), 0.5), np.float32)
 
 
-# @@ photographs
+# --- photographs ---
 # Photographs that anybody may use, as scenes to put water in: their ranges are invented.
 #
 # They come with scikit-image and matplotlib, so nothing is fetched: astronaut, rocket and grace_hopper are in the

@@ -20,7 +20,7 @@ from agent.clock import machine
 from agent.core.config import ConfigError
 from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
 
-# @@ picture_files
+# --- picture files ---
 # Picture files: which there are in a folder, and what they hold as 8 bits, whatever they were written with.
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
@@ -62,7 +62,7 @@ def read_picture(path: Path, grey: bool = False, stretch: bool = False) -> NDArr
     return (np.clip(raw, 0, white).astype(np.float64) * (255.0 / white)).round().astype(np.uint8)
 
 
-# @@ files
+# --- files ---
 
 POSITIONS = "positions.csv"
 COLUMNS = ("file", "focus_position")

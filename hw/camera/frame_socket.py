@@ -117,7 +117,7 @@ def _checked(header: bytes) -> bytes:
     return fields
 
 
-# @@ frame_server
+# --- frame server ---
 # The camera socket's other end: a thread that serves one source of frames, a camera seen from inside the twin.
 
 STALL_S = 2.0  # a client that stops in the middle of a message for longer is dropped
@@ -256,7 +256,7 @@ def _send(connection: socket.socket, reply: Reply, payload: bytes | memoryview) 
     connection.sendall(payload)
 
 
-# @@ twin
+# --- camera of the twin ---
 # twin: a camera of the tank twin, seen through its socket (hw.camera.frame_socket).
 
 

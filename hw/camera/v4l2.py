@@ -35,7 +35,7 @@ from hw.camera.v4l2_node import (
     gone,
 )
 
-# @@ v4l2_format
+# --- v4l2 format ---
 # What a V4L2 camera delivers: choosing among size, encoding and frame rate, and reading a buffer of that kind.
 
 YUYV, MJPG = (int.from_bytes(name, "little") for name in (b"YUYV", b"MJPG"))
@@ -111,7 +111,7 @@ def _set_period_ns(device: Device) -> int:
     return numerator * 1_000_000_000 // denominator if numerator and denominator else UNKNOWN_NS
 
 
-# @@ v4l2_stream
+# --- v4l2 stream ---
 # Frames out of a V4L2 driver's ring of buffers, each with the time at which it was exposed.
 #
 # A driver without a free buffer drops the new frame, not the old: after a pause the ring holds frames of earlier lens
@@ -236,7 +236,7 @@ class Stream:
         return argument
 
 
-# @@ v4l2
+# --- v4l2 ---
 
 WARM_UP_FRAMES = 20  # for the automatic exposure to come to rest before it is locked; 0.7 s at 30 frames/s
 FIRST_FRAME_S = 3.0  # limit while warming up; cameras need up to two seconds after they were plugged in

@@ -19,7 +19,7 @@ from typing import NamedTuple, Protocol
 
 from hw.camera.camera import CameraError, CameraGone, FocusRange
 
-# @@ v4l2_calls
+# --- v4l2 calls ---
 # What is said to a Video4Linux driver: numbers and structs of linux/videodev2.h and linux/v4l2-controls.h.
 #
 # Numbers have their names there, without V4L2_ and CID_. A `Device` is one open node. Requests go through `ioctl`,
@@ -112,7 +112,7 @@ def _text(raw: bytes) -> str:
     return raw.split(b"\0", 1)[0].decode(errors="replace")
 
 
-# @@ v4l2_node
+# --- v4l2 node ---
 
 
 class Node:
@@ -222,7 +222,7 @@ def _by_name(name: str, system: System) -> tuple[Device, Identity]:
     raise CameraGone(f"no camera is called '{name}'; there is {', '.join(there) or 'none at all'}")
 
 
-# @@ v4l2_controls
+# --- v4l2 controls ---
 # Controls of a V4L2 camera: what it has, what it is set to, and what keeps it from changing by itself.
 #
 # Controls are addressed by number, since their names differ between kernels. A sweep compares the sharpness of

@@ -25,7 +25,7 @@ from hw.firmware import parameters, wire
 from hw.firmware.failsafe import SURFACE
 from hw.stm32.protocol import Counters, Greeting, HostProtocol, Level, Outcome, StatusText
 
-# @@ port
+# --- serial ports ---
 # Serial ports by name: which path to open for a fleet file's address, and why one cannot be used.
 
 
@@ -46,7 +46,7 @@ def reason(error: OSError) -> str:
     return os.strerror(error.errno) if error.errno else str(error)
 
 
-# @@ parameter_texts
+# --- parameter texts ---
 # What people are told about the parameters of hw.firmware.parameters: unit and meaning of each, by name.
 
 TEXTS: dict[str, tuple[str, str]] = {
@@ -65,7 +65,7 @@ TEXTS: dict[str, tuple[str, str]] = {
     "pulse_frame_us": ("us", "from one pulse of a thruster to the next, as short as its ESC takes"),
 }
 
-# @@ parameter_check
+# --- parameter check ---
 # Names and values of parameters, checked before they are asked of a board.
 
 IDS: dict[str, int] = {name: i for i, name in enumerate(parameters.NAMES)}
@@ -89,7 +89,7 @@ def checked_id(name: str, value: float) -> int:
     return i
 
 
-# @@ driver
+# --- driver ---
 
 BAUD = 1_000_000  # an exact divisor of the F407's bus clocks; at 115200 one telemetry frame takes 7 ms
 BACK_OFF_S = (0.1, 1.0)  # first and longest pause between attempts to open the port
@@ -366,7 +366,7 @@ class Stm32:
                     self._protocol.receive(chunk, self._clock.now_ns())
 
 
-# @@ motors
+# --- motors ---
 # Whether motors shall turn, by whoever started the agent and by orders; the module is told so, and told again.
 #
 # A robot that surfaced since its host was silent is called back when the host is there again, but never one that

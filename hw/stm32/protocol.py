@@ -14,7 +14,7 @@ from msgspec import UNSET
 from agent.core.step_io import SetPoint, Telemetry
 from hw.firmware import parameters, wire
 
-# @@ orders
+# --- orders ---
 # Orders to the control module under way: asked, sent, repeated, answered. No port, no clock, no thread.
 
 ATTEMPTS = 4  # without an answer; they reach 99.4 % at 15 % loss each way
@@ -139,7 +139,7 @@ class Orders:
         return order
 
 
-# @@ fields
+# --- fields ---
 # Fields of the wire's frames (hw.firmware.wire) from our messages, and our messages from such fields.
 
 TTL_MS = 500  # of a set-point; the board holds position after it
@@ -232,7 +232,7 @@ def event_line(code: int, before: int, after: int, severity: int, arg: int) -> S
     return StatusText(LEVELS[min(severity, 2)], f"board: {text}")
 
 
-# @@ arming
+# --- arming ---
 # The wish that a board be armed: asked again while waiting can cure a refusal, given up for good when it cannot.
 
 AGAIN_NS = 500_000_000  # after a refusal that time alone can cure
@@ -310,7 +310,7 @@ class Arming:
         return line
 
 
-# @@ protocol
+# --- protocol ---
 
 HELLO_EVERY_NS = 500_000_000
 

@@ -33,7 +33,7 @@ from hw.firmware import bus
 from hw.firmware.bus import ACT, ACT_SIZE, TICK_US, TIMES
 from hw.firmware.wire import BY_WATCHDOG, POWER_ON
 
-# @@ cycle_times
+# --- cycle times ---
 # What a control cycle takes on the board, part by part: the twin's firmware is given no tick before it is over.
 #
 # cycle_times.toml beside this file is estimated from counted instructions, by `python -m tests.bench board --write`.
@@ -75,7 +75,7 @@ NO_TIME = CycleTimes(
     armed_us=0, disarmed_us=0, sent_frame_us=0, sent_byte_us=0, heard_byte_us=0, collect_us=0, heap_free_us=0
 )
 
-# @@ boot
+# --- one boot of the firmware ---
 # The firmware from one boot to its end: a process between its bus, which stands for sensors and pins, and its UART.
 
 RESET_CAUSE = "AUCAMP_RESET_CAUSE"  # the environment variable that stands for the chip's register; hal_unix reads it
@@ -227,7 +227,7 @@ def boot(command: Sequence[str], flash: Path, log: Path, cause: int, times: Cycl
         return Boot(process, bus, uart)
 
 
-# @@ cable
+# --- serial cable ---
 # The serial cable between the agent's computer and one control module: a pty behind a path that can vanish.
 #
 # The twin carries the bytes itself, once a tick, because only who holds the pty's master can pull the cable: when the
@@ -285,7 +285,7 @@ class Cable:
                 os.write(self._master, data)
 
 
-# @@ board
+# --- what the page shows ---
 
 FIRMWARE = Path(__file__).parents[1] / "firmware" / "main.py"
 
@@ -476,7 +476,7 @@ class Board:
         return lines[-1] if lines else "it printed nothing"
 
 
-# @@ sensor_faults
+# --- sensor faults ---
 # What is broken between the water and the firmware: sensors and the leak probe, robot by robot.
 #
 # Sensors are counted from 1 to 4, as on the paper's drawings. A fault lasts until `mend`.

@@ -107,7 +107,7 @@ class Bench:
             return Frame(middle_ns, seq, image, roi or Roi(0, 0, *self.size))
 
 
-# @@ bench_socket
+# --- bench socket ---
 # The socket of the calibration bench: JSON, one object a line.
 #
 # {"board_m": [x, y, z] or null, "servo_us": [pan, tilt]} is answered by {"ok": true} or {"error": "..."}; for what

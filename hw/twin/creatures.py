@@ -29,7 +29,7 @@ from hw.twin.scene import Creature, Solid, generator
 if TYPE_CHECKING:
     from hw.twin.optics.painter import Outline
 
-# @@ steering
+# --- steering ---
 # What a creature shies from, and what it cannot swim through.
 
 SHY_M = 0.35  # from where it minds walls, floor, surface, stones and robots
@@ -132,7 +132,7 @@ def _out_of(place_m: Vector, thing: Thing, skin_m: float) -> Vector:
     return x, y, z
 
 
-# @@ swimmer
+# --- one creature ---
 
 TURN_S, TURN_RAD_S = 1.5, 1.04  # of the turning rate: how soon it is another one, standard deviation
 CLIMB_S, CLIMB_RAD = 3.0, 0.12  # the same of its pitch
@@ -292,7 +292,7 @@ def _wrap(angle_rad: float) -> float:
     return math.remainder(angle_rad, 2 * math.pi)
 
 
-# @@ school
+# --- all creatures ---
 # All creatures of a scene, one tick after the other.
 
 ROBOT_M = (0.17, 0.17, 0.12)  # what no creature swims through: a hull and its thrusters' rings
@@ -358,7 +358,7 @@ def _check(creature: Creature, names: Sequence[str], size_m: Vector) -> None:
             )
 
 
-# @@ shape
+# --- shape ---
 # The body that an attitude gives a creature: ellipsoids along a midline that bends as it swims.
 #
 # The midline's offset to the side at s, from nose (0) to tail (1), is (C1 s + C2 s^2) sin(k s - phase), one wave in a
@@ -426,7 +426,7 @@ def _turned(angle_rad: float) -> NDArray[np.float64]:
     return np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
 
 
-# @@ lookout
+# --- truth about creatures ---
 # The truth about creatures, beside that about robots (hw.twin.truth): creatures.csv and, of each frame, boxes.csv.
 #
 # For who judges a dive, never for an agent. Both stay in the twin's folder until its next dive begins.

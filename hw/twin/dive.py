@@ -65,7 +65,7 @@ from hw.twin.scene import (
 )
 from hw.twin.truth import WATCH_TICKS, Stage, Watch, movable, true_tags
 
-# @@ launch
+# --- launch ---
 # How the robots of a dive begin: bodies drawn, put where the crew really puts them, held until they are armed.
 
 
@@ -87,7 +87,7 @@ def launch(
     return bodies, states
 
 
-# @@ history
+# --- what robots showed ---
 # Where robots and creatures were during the last two seconds, for cameras that expose at a time of their own.
 
 SPAN = 200  # ticks kept
@@ -170,7 +170,7 @@ class History:
             self._changed.notify_all()
 
 
-# @@ dive
+# --- dive ---
 
 STILL = Scene(name="still")
 STEP_US, TICK_US = round(STEP_S * 1e6), TICK_NS // 1000
@@ -436,7 +436,7 @@ def apply(event: AnyEvent, dive: Dive) -> None:
             assert_never(event)
 
 
-# @@ pace
+# --- pace of a dive ---
 # How fast a dive goes: by a clock that its agents follow, or as fast as every firmware answers, for experiments.
 
 LOCK_STEP_S = 5.0  # in virtual time a firmware that is silent for longer is taken for dead

@@ -15,7 +15,7 @@ from msgspec import Meta
 from agent.core.config import Colour, ConfigError, Fleet, Name, Positive, Struct, WaterKind, convert, read_toml
 from agent.core.messages import Vector
 
-# @@ faults
+# --- faults ---
 # What happens in a dive, each at its time and most of it to one robot: the [[event]] tables of a scene file, as data,
 # and the rules for them. hw.twin.dive applies them.
 #
@@ -202,7 +202,7 @@ def check(
             raise ConfigError(f"event at {event.at_s} s: {what}; {remedy}")
 
 
-# @@ scene
+# --- scene ---
 
 SCENES = Path(str(resources.files("hw.twin") / "scenes"))  # those that ship with the package
 

@@ -21,7 +21,7 @@ from hw.twin.physics.body import HULL_M, euler_rad, matrix, quaternion
 from hw.twin.physics.forces import RING_M
 from hw.twin.scene import Creature, Scene, Solid, generator
 
-# @@ landmarks
+# --- landmarks ---
 # Where the tags of a fleet file truly are: where it says, give or take its survey's errors. Hidden from the agents.
 #
 # A tag's own axes are right, up and out of its face, towards who looks at it.
@@ -76,7 +76,7 @@ def _turned(*angles_deg: float) -> NDArray[np.float64]:
     return matrix(quaternion(roll, pitch, yaw))
 
 
-# @@ truth
+# --- the truth ---
 
 PATHS, SEPARATION = "paths.csv", "separation.json"
 HEAD = "t_ns,robot,x_m,y_m,z_m,roll_deg,pitch_deg,yaw_deg,pan_deg,tilt_deg"
@@ -157,7 +157,7 @@ def tags_as_json(tags: Sequence[PaintedTag]) -> dict[str, Any]:
     }
 
 
-# @@ stage
+# --- what stands when ---
 # What stands in the tank at each time: solids that events move, tags that events take away.
 
 
@@ -207,7 +207,7 @@ class Stage:
         return tuple(tag for tag in self._tags if self._lost_ns.get(tag.id, t_ns + 1) > t_ns)
 
 
-# @@ targets
+# --- targets ---
 # Which solid or creature of the scene each target of a fleet is: known to the twin and to who judges a dive, never to
 # an agent.
 

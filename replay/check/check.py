@@ -39,7 +39,7 @@ from replay.files.log import info, parts, read
 from replay.files.mcap_file import Part, active
 from replay.files.mcap_walk import suspecting
 
-# @@ links
+# --- links ---
 # Who heard whom: every message that a robot took in must be one that its sender gave out, byte for byte.
 #
 # One that is not was forged or damaged on the way, or the sender's recording is not whole. The signatures under what
@@ -155,7 +155,7 @@ def _map(data: bytes) -> dict[str, Any] | None:
     return fields if isinstance(fields, dict) else None
 
 
-# @@ side_by_side
+# --- recordings side by side ---
 # Recordings that are checked side by side, each in a process of its own: no robot's replay needs another's.
 
 WORTH_STEPS = 1500  # of all recordings but the longest: less is done sooner than another process has started
@@ -210,7 +210,7 @@ def _count(steps: int) -> None:
         _done.value += steps
 
 
-# @@ check
+# --- check ---
 
 
 class Checked(NamedTuple):
@@ -351,7 +351,7 @@ def _finite(count: dict[str, Any]) -> dict[str, Any]:
     return {name: None if value == float("inf") else value for name, value in count.items()}
 
 
-# @@ update
+# --- update ---
 # `aucamp replay check --update`: what the kernel does today becomes what the recording says, with a reason.
 #
 # Inputs stay as they were; only outputs are replaced, and the reason is kept in the header. The old file goes last,

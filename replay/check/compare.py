@@ -144,7 +144,7 @@ def _ordinal(x: float) -> int:
     return bits if bits >= 0 else -(bits & 0x7FFF_FFFF_FFFF_FFFF)
 
 
-# @@ older
+# --- older schemas ---
 # Recordings of an older schema: in what today's outputs must differ from theirs, however alike the robots behave.
 
 NUMBERED = ("says.schema", "state.schema", "log.schema")  # fields that say the schema itself

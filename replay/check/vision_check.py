@@ -33,7 +33,7 @@ from replay.files.frames import Frames, pixels
 from replay.files.log import info, parts, read
 from replay.files.mcap_walk import suspecting
 
-# @@ vision_limits
+# --- vision limits ---
 # What may differ when vision looks at recorded frames again, and why so much.
 #
 # Frames that are kept losslessly give the same numbers, but for versions of OpenCV. A JPEG is not what vision saw:
@@ -93,7 +93,7 @@ def mean_shift(shifts: Sequence[tuple[float, ...]], allowed: float) -> Quantity:
     return Quantity(max(abs(sum(column)) / len(shifts) for column in zip(*shifts, strict=True)), allowed, len(shifts))
 
 
-# @@ sweeps_again
+# --- sweeps again ---
 # What the kernel decides of a sweep: the lens position of its peak and the place of the target, by what vision saw
 # then and by what it sees now in the recorded frames. Both are worked out here in the same way, so that they differ
 # by vision alone.
@@ -190,7 +190,7 @@ def _eye(box: BlackBox, state: State | None) -> Eye:
     return camera_pose(robot.pose, body, *level, *gimbal, surface_m)
 
 
-# @@ vision_check
+# --- vision check ---
 
 See = Callable[[NDArray[np.uint8], tuple[int, int, int, int], Sighting, Sighting | None], Sighting]
 MakeSee = Callable[[Fleet, CameraFit], See]

@@ -16,7 +16,7 @@ from typing import Literal, NamedTuple
 
 from agent.core import topics
 
-# @@ backlog
+# --- write queue ---
 # What waits for the disk: bounded in messages and in bytes; frames give way before state; every loss is counted.
 
 
@@ -97,7 +97,7 @@ class Backlog:
         )
 
 
-# @@ channels
+# --- channels ---
 
 Encoding = Literal["msgpack", "json", "protobuf", "application/octet-stream"]
 PROTOBUF: Encoding = "protobuf"

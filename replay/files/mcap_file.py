@@ -26,7 +26,7 @@ from agent.core.config import ConfigError
 from replay.files.channels import Entry
 from replay.files.mcap_walk import ATTACHED, BEFORE, HashedFile, of_attachments, stamped
 
-# @@ environment
+# --- environment ---
 # What a recording was made with: code, versions and machine, the first suspects when a replay differs.
 
 PACKAGES = (
@@ -104,7 +104,7 @@ def _git(root: Path, *arguments: str) -> str | None:
     return done.stdout.strip()
 
 
-# @@ file_lock
+# --- file lock ---
 # Who is writing a file: its writer holds a lock on it, which the operating system takes back when the writer dies.
 #
 # So a file with the name of an unfinished one and without a lock is one whose writer was killed, however short ago.
@@ -129,7 +129,7 @@ def is_held(path: Path) -> bool:
     return False
 
 
-# @@ names
+# --- names ---
 # What the files of a recording are called.
 #
 # r1.mcap, r1.part002.mcap ...   a recording and its later parts r1.2.mcap                      the same robot started
@@ -187,7 +187,7 @@ def _stem(path: Path) -> str:
     return path.name.removesuffix(SUFFIX).removesuffix(".mcap")
 
 
-# @@ mcap_file
+# --- mcap file ---
 
 CHUNK_BYTES = 256 * 1024  # the format's default, 1 MiB, is minutes of telemetry: all lost when the process is killed
 

@@ -44,7 +44,7 @@ from mcap.records import (
 from agent.core.codec import Refusal
 from agent.core.config import ConfigError
 
-# @@ digests
+# --- digests ---
 # What a recording says of itself as SHA-256, so that a reader notices what was changed after it was written.
 #
 # The header `aucamp.run` has a digest of itself and of each attachment; every other note has its own. The last note
@@ -107,7 +107,7 @@ class HashedFile:
         return self._digest.hexdigest()
 
 
-# @@ mcap_audit
+# --- mcap audit ---
 # What a file says of itself at its end, held against what a walk through it met: index, counts, checksums, digests.
 #
 # A file of ours has all of these. One that something else wrote is judged by the checksums alone, and one from before
@@ -310,7 +310,7 @@ class Audit:
             self.add("something follows its last note", True)
 
 
-# @@ mcap_walk
+# --- mcap walk ---
 
 __all__ = ["Attachment", "Channel", "Damage", "Message", "Metadata", "Schema", "Tear", "records", "run_note"]
 
@@ -521,7 +521,7 @@ def _uncompressed(chunk: Chunk) -> bytes:
     return data
 
 
-# @@ suspect
+# --- damaged recordings ---
 # What a recording can do to its reader: nothing but make it say, in one line, that it is damaged.
 #
 # Whoever reads checks what can be checked. What still goes wrong in bytes that no recorder of ours wrote ends here,

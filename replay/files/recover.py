@@ -231,7 +231,7 @@ def recover_all(paths: Iterable[Path], force: bool, say: Callable[[str], None]) 
     return code
 
 
-# @@ auto_recover
+# --- auto recover ---
 # Recordings whose writer was killed are mended without being asked: by who starts again, and by who opens them.
 #
 # A robot that starts has better things to do than to read half a gigabyte, so that is left to a process of its own,

@@ -18,7 +18,7 @@ from replay.report.creature_track import Path3, true_path
 from replay.report.page import Floor, Held, Point, Robot, Thing, close_up, from_above
 from replay.report.timeline import SURVEYED, RobotTimeline, Run, Surveyed, floor_known, survey_rows
 
-# @@ ends
+# --- each robot at the end ---
 # Each robot at the end of a run, by target: what sentence, picture and tables say of it comes from here.
 
 
@@ -76,7 +76,7 @@ def _end(run: Run, timeline: RobotTimeline, way: Path3 | None) -> End:
     )
 
 
-# @@ outcome
+# --- outcome ---
 # What came of a run, as figures: what its sentence is made of.
 
 EARLY_S = 3.0  # before the last one: that early a robot ended, or fell silent, as on the page
@@ -221,7 +221,7 @@ def _robot(timeline: RobotTimeline) -> RobotOutcome:
     )
 
 
-# @@ sentence
+# --- sentence ---
 # What came of a run, in one sentence: who found what, when, how surely, and what went wrong. Pure.
 
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
@@ -373,7 +373,7 @@ def plain(parts: Sequence[Part]) -> str:
     return "".join(part.text for part in parts).replace(UNBROKEN, " ")
 
 
-# @@ lead
+# --- lead ---
 
 MOST_POINTS = 400  # of a way: more cannot be told apart
 KINDS = {1: "some", 2: "known", 3: "thing"}

@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from agent.core.config import Fleet
 from agent.core.messages import Symmetric, Vector
 
-# @@ view
+# --- view from above ---
 # A view of the tank from above as SVG: metres of the world frame to units of the picture.
 
 SIGMAS = 3.0  # of ellipses, as on the page
@@ -62,7 +62,7 @@ class View:
         return f'<ellipse class="sure" rx="{large:.2f}" ry="{small:.2f}" {where}/>'
 
 
-# @@ palette
+# --- palette ---
 # Colours of everything that shows a run: the report, its figures, and the page of a fleet; light, and dark.
 
 _LIGHT = """
@@ -108,7 +108,7 @@ THEMED = MappingProxyType(
     }
 )
 
-# @@ picture
+# --- the dive in pictures ---
 # The dive in pictures: the tank from above, and each target close up. SVG in the colours of the page that it is in.
 
 LOOKS = (
@@ -303,7 +303,7 @@ def _svg(about: str, wide: float, high: float, drawn: Sequence[str]) -> Markup:
     return Markup(f'{head} aria-label="{escape(about)}">{"".join(drawn)}</svg>')
 
 
-# @@ page_template
+# --- page template ---
 
 STYLE = (
     PALETTE

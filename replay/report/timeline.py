@@ -39,7 +39,7 @@ from replay.files.channels import CLOCK, STEP_OUT, network_topic
 from replay.files.info import Moment, in_dive, moment
 from replay.files.log import parts, read
 
-# @@ robot_timeline
+# --- robot timeline ---
 # What a run's black boxes tell, in the shape in which figures need it: series over time, one timeline for each robot
 # and target.
 #
@@ -258,7 +258,7 @@ class _Collected:
         return Posture(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], rows[:, 4:8], rows[:, 8:16])
 
 
-# @@ fleet_timeline
+# --- fleet timeline ---
 
 
 class FleetFile(NamedTuple):
@@ -380,7 +380,7 @@ class _Robot:
         ]
 
 
-# @@ run
+# --- the run ---
 # What there is of one run, gathered for its report: black boxes, the fleet file, and what a twin knows.
 
 
@@ -473,7 +473,7 @@ def _truths(summary: dict[str, Any] | None, fleet: Fleet) -> dict[str, Vector]:
     return {target: tuple(about["truth_m"]) for target, about in resting.items()}
 
 
-# @@ surveyed
+# --- surveyed ---
 # What the robots of a survey said of it, from their black boxes: how much each knew when, and what they measured.
 
 SURVEYED = "At the end. Maps are equal where these digits are."  # about what `survey_rows` says

@@ -177,7 +177,7 @@ def _vector(v: Vector) -> Vector3:
     return Vector3(x=v[0], y=v[1], z=v[2])
 
 
-# @@ plots
+# --- plots ---
 # Numbers over time for viewers: flat protobuf messages of named doubles, the package `aucamp` in a recording.
 #
 # Their descriptors are built from this table when the module is loaded, so there is no generated code to keep in

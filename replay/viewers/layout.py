@@ -154,7 +154,7 @@ def _row(panels: list[str]) -> Any:
     return {"first": panels[0], "second": _row(panels[1:]), "direction": "row", "splitPercentage": share}
 
 
-# @@ rerun_blueprint
+# --- rerun blueprint ---
 # Writes `layouts/rerun.rbl`, the arrangement of views in which Rerun opens a recording of three robots.
 #
 # Rerun keeps such files in a binary form of its own; this is the text behind it. With the extra `view`, `python -m

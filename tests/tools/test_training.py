@@ -8,8 +8,7 @@ import pytest
 
 from agent.core.config import ConfigError
 from agent.tools import training_pairs, training_scenes
-from agent.tools.train_enhance import check
-from agent.tools.training_pairs import Pairs
+from agent.tools.training_pairs import Pairs, check
 from agent.tools.training_scenes import landscape
 
 torch = pytest.importorskip("torch", reason="the extra `enhance` is not installed")

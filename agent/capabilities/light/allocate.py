@@ -34,7 +34,7 @@ from agent.core.ranging.camera_model import Calibration, Eye, camera_pose, look_
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Telemetry
 
-# @@ information
+# --- information ---
 # What a focus sweep is worth in the light of a set of lamps: J, by which the range's variance falls.
 #
 # The exposure is that which this set gets: a lamp too near to a target burns it out, and is paid for by all others.
@@ -87,7 +87,7 @@ def worth(pairs: Sequence[Pair], depth_m: float, radius_m: float, focal_px: floa
     return Worth(log_j, contrast, sigma_mm, contrast > LEAST_CONTRAST and sigma_mm < WORST_MM)
 
 
-# @@ allocate
+# --- allocate ---
 
 ROUNDS = 2
 LEAST_RISE = math.log(1.01)  # of log J, for which a lamp is flipped
@@ -180,7 +180,7 @@ def dazzles(scene: Scene, lamp_m: Vector) -> bool:
     return beyond and ahead > math.cos(GLARE_RAD)
 
 
-# @@ frames
+# --- frames ---
 # How many blocks of a keyframe would show a clear peak, by the lamps that burn: whole frames instead of one target.
 #
 # Light on spots of what the view is expected to show, and the veil before each; all lamps aim at one place of it. The
@@ -322,7 +322,7 @@ def _veil(camera_m: Vector, at_m: Vector, lamp_m: Vector, lighting: Lighting) ->
     return blue, green, red
 
 
-# @@ lamp
+# --- the robot's own lamp ---
 # A robot's own lamp: what it is told, since when it rests, and what it can still give.
 
 DARK_NS = 150_000_000  # from a set-point to light or darkness: the line to the module, its loop, the lamp's driver
@@ -398,7 +398,7 @@ def cannot(has: bool, lamp: LampControl, telemetry: Telemetry | None, silent: bo
     return "heat" if lamp.warm >= TOO_WARM else ""
 
 
-# @@ choose
+# --- choice of lamps ---
 # Which lamps to ask for: the rule of allocate.py, and what it costs those who lend.
 #
 # A lamp that is warm, or whose robot's battery runs low, is asked for only if the sweep gains as much by it as by
@@ -471,7 +471,7 @@ def _best(
     return max(choices, key=lambda choice: round(choice.log_j, 6), default=None)
 
 
-# @@ aim
+# --- where lamps point ---
 # Where lamps are and how their gimbals turn. A lamp sits beside the camera's pivot, to its left on the body.
 
 AHEAD_M = 1.0  # along the camera's axis: where a lamp aims while nobody knows where anything is

@@ -115,7 +115,7 @@ def _angle(at_m: Vector, one_m: Vector, other_m: Vector) -> float:
     return math.acos(min(max(sum(p * q for p, q in zip(a, b, strict=True)) / size, -1.0), 1.0)) if size else 0.0
 
 
-# @@ follow_light
+# --- light for a target that swims ---
 # A robot's own part in the light by which what swims is followed: what it knows of who is where, made a decision.
 #
 # The rule is lighting/followers.py's. What it costs is spread over steps: each looks at what lamps do for one

@@ -203,7 +203,7 @@ def said_lease(party: Party, now_ns: int) -> Lease | None:
     return Lease(was.number, was.waited, left_s, mine.granted, was.at_m, was.lamps)
 
 
-# @@ proof
+# --- lamp-constancy check by monotonic counters ---
 # Whether any lamp changed while a sweep ran: by numbers that go up alone, never by a clock.
 #
 # Before the sweep: of each neighbour that was heard of late the newest word, which says that its lamp is steady, and
@@ -276,7 +276,7 @@ def verdict(party: Party, before: Baseline, own: LampNow, after_seq: int) -> Ver
     return "pending" if pending else "kept"
 
 
-# @@ talk
+# --- messages in and out ---
 # One robot's part in who has the light, between steps: words in and out, the lease, and the proof for its sweeps.
 
 SLOW_NS = round(1e9 / LIGHT.hz)

@@ -88,7 +88,7 @@ class Wishes(Revertible):
         return lens_position(self._calibration.focus, math.dist(scene.camera_m, scene.target_m) - scene.radius_m)
 
 
-# @@ search
+# --- search ---
 # Where a robot asks for light while nobody knows where the target is.
 #
 # A lamp beside the camera shows what is near. Farther out its veil outshines every target, and a neighbour's lamp

@@ -42,7 +42,7 @@ from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetState
 from agent.core.topics import LIGHT
 
-# @@ lights
+# --- by day ---
 # What a robot's step asks of light, as it is answered by a fleet without [lighting]: by day.
 #
 # No lamp burns, each sweep may begin, and each counts. Fleets that light for each other answer in lamps/conduct.py.
@@ -127,7 +127,7 @@ class Lights(Revertible):
         return UNSET
 
 
-# @@ conduct
+# --- a fleet that lights ---
 
 LENS_STEP = 0.25  # of the peak's half width: a blur by less is not worth moving the lens
 

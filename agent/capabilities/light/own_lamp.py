@@ -186,7 +186,7 @@ class OwnLamp(Revertible):
         return 0.0 if here is None else max(abs(here.x[3]), abs(here.x[4]))
 
 
-# @@ onlookers
+# --- telemetry ---
 # A robot's lamp and whose light it is, for whoever looks.
 
 
@@ -212,7 +212,7 @@ def lamp_state(party: Party, own: LampNow, spoiled: int) -> LampState:
     )
 
 
-# @@ turn
+# --- the robot's turn ---
 # A robot's turns at the light, whatever it wants it for: when it may ask, how long it may look, what became of it.
 
 LOOK_NS = 3_500_000_000  # from the grant to the sweep: lamps and gimbal come to rest, the target comes into the middle

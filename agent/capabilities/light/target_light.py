@@ -121,7 +121,7 @@ class TargetLight(Revertible):
         self._log.note_seldom("info", f"light {target}", text, now_ns)
 
 
-# @@ view_light
+# --- light for a view ---
 # Light for a survey's keyframes: whose lamps burn while the focus is swept over a whole view, and which count.
 #
 # As for a target's sweep there is none without a lease, and none counts whose lamps are not known to have stayed as
@@ -209,7 +209,7 @@ class LentViewLight(ViewLight):
         return self._turn.burned
 
 
-# @@ aside
+# --- a ball lit from aside ---
 # A ball that is lit from aside: which of its cues hold, and where its middle is when only its lit part was outlined.
 #
 # The edge towards the lamp is the ball's own, the one opposite is where its shadow begins. With the radius r of the

@@ -29,7 +29,7 @@ from agent.experiments.localization.lockstep import (
     symmetric,
 )
 
-# @@ bounds
+# --- bounds ---
 # What the best possible fusion would reach, and what the paper's update must reach: the lines to measure against.
 #
 # Lengths are metres, covariances m^2; every root mean square is over the three axes together.
@@ -102,7 +102,7 @@ def _mask(robots: int, chosen: slice) -> np.ndarray[tuple[int], np.dtype[np.bool
     return mask
 
 
-# @@ cases
+# --- cases ---
 # Which cases the localization experiment runs: one list, in the order of the table.
 
 PROTOCOLS: tuple[Protocol, ...] = ("paper", "metropolis", "evidence")
@@ -220,7 +220,7 @@ def large(full: bool) -> Sequence[Case]:
     return found
 
 
-# @@ draws
+# --- draws ---
 
 # One world for all: cases differ in what they name, not in where robots happen to be. Of these draws it is an ordinary
 # one: ten robots have a bound of 2.5 mm after one sample each (half of all worlds lie between 2.3 and 2.6), and a mean
@@ -320,7 +320,7 @@ def mean_score(scores: Sequence[Score]) -> Score:
     return Score(columns[0], columns[1], columns[2] or 0.0, columns[3] or 0.0)
 
 
-# @@ criteria
+# --- criteria ---
 # What the localization experiment must show: each target, the rows it is about, and whether they meet it.
 
 PAPER_UNDER_LOSS = {10: 9.6, 50: 27.0, 200: 56.0}  # times the bound: the literal update on the hard graph, 30 % loss

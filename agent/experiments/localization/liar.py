@@ -35,7 +35,7 @@ from agent.experiments.localization.lockstep import (
     symmetric,
 )
 
-# @@ lie_search
+# --- search for the best lie ---
 # The best lie that can be told: a search over place and covariance by somebody who knows every honest opinion.
 #
 # Lies that were chosen prove nothing: a rule that shrugs off 300 mm may be moved 50 mm by 15. So the liar looks for
@@ -114,7 +114,7 @@ def spoken(parameters: Array, centre_m: Array, root_m: Array) -> tuple[Array, Ar
     return x_m, L @ np.swapaxes(L, -1, -2) + CLAIM_M**2 * np.eye(3)
 
 
-# @@ many_lies
+# --- many lies at once ---
 # What a robot would conclude from each of many lies: the kernel's rule (estimation/fuse.py) on columns of numbers.
 #
 # A search asks for a hundred thousand conclusions a dive. Here one call takes all candidates at once; a test holds
@@ -224,7 +224,7 @@ def inverse(a: Array) -> Array:
     return np.asarray(flat.reshape(a.shape))
 
 
-# @@ liar_cases
+# --- liar cases ---
 # Which lies the localization experiment tells: one list, in the order of the table.
 
 Then = Literal["silent", "honest", "no key"]
@@ -307,7 +307,7 @@ def averaging() -> list[LiarCase]:
     return found
 
 
-# @@ liar
+# --- liar ---
 
 FIRST, LAST = 20, 40  # iterations of lies, the latter excluded
 AFTER = 10  # iterations that go on

@@ -34,7 +34,7 @@ from agent.experiments.localization.liar import (
 )
 from agent.experiments.localization.lockstep import Array, circle_m, draw_dive, draw_world, prior, symmetric
 
-# @@ liar_moving
+# --- liar moving ---
 # The liar whose target moves: what liar.py does at rest, against tracks.
 #
 # A liar's opinion is the track through its samples, so what it says now binds what it can say next. It looks one
@@ -170,7 +170,7 @@ def square(a: Symmetric) -> Array:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-# @@ liar_bumped
+# --- liar bumped ---
 # A robot that is knocked, wrong for a while without knowing it, then repaired and started again: is it believed?
 
 
@@ -205,7 +205,7 @@ def share(updates: list[Update]) -> float:
     return math.fsum(weights) / len(weights)
 
 
-# @@ liar_rows
+# --- liar rows ---
 
 UNIT = 2  # draws in one piece of work
 

@@ -155,7 +155,7 @@ def closed_form_mm(case: Case, world: MonteCarloWorld, t: int) -> float | None:
     return 1e3 * closed_form_m(weights(graph(case.topology, case.robots)), world.random_m2, t)
 
 
-# @@ tables
+# --- tables ---
 # Errors beside their bounds, and targets beside what was measured.
 
 
@@ -227,7 +227,7 @@ def number(value: float | None, digits: int = 2) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-# @@ figures
+# --- figures ---
 # The paper's figure: prior and posterior of each axis against the iteration, each robot's first view marked.
 
 ITERATIONS = 60

@@ -24,7 +24,7 @@ from agent.core.linear_algebra import upper
 from agent.core.messages import Estimate, Symmetric
 from agent.process.keys import Sign, signing
 
-# @@ graphs
+# --- graphs ---
 # Who hears whom: the communication graphs of the experiments, as neighbours by number.
 
 Graph = tuple[tuple[int, ...], ...]  # neighbours of each robot, ascending, never itself
@@ -105,7 +105,7 @@ def _neighbours(linked: NDArray[np.bool_]) -> Graph:
     return tuple(tuple(int(j) for j in np.flatnonzero(row)) for row in linked)
 
 
-# @@ world
+# --- the world ---
 # Robots around a target and what their cameras get wrong: the worlds of the localization experiment.
 #
 # Lengths are metres, world frame. Two kinds of error: `random` is new in every sample and averages out, `systematic`
@@ -222,7 +222,7 @@ def _root(covariance: Array) -> Array:
     return np.asarray(vector * np.sqrt(np.maximum(value, 0.0))[:, None, :])
 
 
-# @@ perfect_keys
+# --- perfect signatures ---
 # Signatures that nobody can forge and that cost nothing: hashes, in a world where nobody makes another's.
 #
 # What Ed25519 costs is measured elsewhere (python -m tests.bench signing); here a dive has 10,000 signatures to
@@ -254,7 +254,7 @@ def verify(public: bytes, signature: bytes, signed: bytes) -> bool:
     return signature == blake2b(signed, key=public).digest()
 
 
-# @@ lockstep
+# --- lockstep ---
 
 VALIDITY = 1.5  # iterations: the last round counts, the one before it does not
 TARGET = "ball"

@@ -75,7 +75,7 @@ def _nees(e: Array, covariance: Array) -> float:
     return float(e @ np.linalg.solve(covariance, e)) / 3.0
 
 
-# @@ separation
+# --- separation ---
 # How near robots come to each other, centre to centre and by the truth, while all of them swim across the basin.
 #
 # Each starts where another one shall be: their ways cross. They are neighbours, all of all, and what they say
@@ -138,7 +138,7 @@ def places(rng: np.random.Generator, robots: int) -> Array:
                 return np.array(found)
 
 
-# @@ aid
+# --- aid ---
 # Robots that rarely see tags, around a ball that others have located: how much that tells them of where they are.
 #
 # In the plane, with the kernel's filters, pilot and evidence; bodies, fixes and sightings are drawn, and everything

@@ -93,7 +93,7 @@ def robot(
     )
 
 
-# @@ planar_body
+# --- planar body ---
 # A robot in the plane, in steps of 5 ms: the kernel's own form of the equations, with constants of its own.
 
 Array = NDArray[np.float64]
@@ -154,7 +154,7 @@ def drawn_hull(rng: np.random.Generator) -> Hull:
     )
 
 
-# @@ bodies
+# --- bodies ---
 # Robots in the basin, the twin's or planar ones, as a loop around the kernel needs them: one shape for both.
 
 START_NS = 10**18

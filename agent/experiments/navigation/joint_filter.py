@@ -176,7 +176,7 @@ def full(symmetric: Symmetric) -> Array:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-# @@ joint_bound
+# --- joint bound ---
 # The joint filter's estimate from the notes of a run: fixes, odometry and samples made anew, at its own estimates.
 
 

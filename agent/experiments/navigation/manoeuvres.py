@@ -157,7 +157,7 @@ def _before_a_wall(rng: np.random.Generator) -> tuple[float, float, float]:
     return along_m, TANK.size_m[1] - away_m, 0.5 * math.pi + aside
 
 
-# @@ summaries
+# --- summaries ---
 # From the rows of all seeds to the figures of result.json. None: no number, for nobody ever got there.
 
 AIDED = ("aid", "aid with gyro")
@@ -266,7 +266,7 @@ SUMMARIES: dict[NavigationCase, Callable[[Draws], Row]] = {
     "search": search,
 }
 
-# @@ fix
+# --- fix ---
 # How well a robot finds itself by the tags of one frame: rendered frames, at rest, the tags surveyed as a lab would.
 #
 # A seed is a robot with a lens, servos and a calibration from its own bench, and a basin whose tags hang a little

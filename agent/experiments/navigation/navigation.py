@@ -39,7 +39,7 @@ from agent.experiments.navigation.manoeuvres import AIDED, PLACES, SUMMARIES, fi
 from agent.experiments.navigation.pursuit import SEARCH_S, WATCH_S, follow, search
 from agent.process.command import Progress
 
-# @@ bars
+# --- targets ---
 # What robots that swim must show on the twin: limits of the figures in result.json.
 
 
@@ -97,7 +97,7 @@ def met(bar: Bar, figures: Row) -> bool | None:
     return value is not None and (bar.least is None or value >= bar.least) and (bar.most is None or value <= bar.most)
 
 
-# @@ run
+# --- the run ---
 
 ENOUGH = 20  # seeds
 WORLDS = 1000  # of one --seed
@@ -199,7 +199,7 @@ def worlds(draw: Callable[[int], Row | list[Row]], world: int, first: int, last:
     return found
 
 
-# @@ tables
+# --- tables ---
 # Figures beside their bars, fixes against blur and distance, and the spread over seeds.
 
 BLURS_PX = (0.0, 2.0, 6.0, math.inf)  # diameters of the disc
@@ -325,7 +325,7 @@ def _band(band: tuple[float, float]) -> str:
     return f"{band[0]:g} to {band[1]:g}" if math.isfinite(band[1]) else f"{band[0]:g} and more"
 
 
-# @@ figures
+# --- figures ---
 # Paths over the basin and errors over time: every seed a line.
 
 SWUM = ("hold", "goto", "turn", "orbit", "orbit with gaps")

@@ -19,7 +19,7 @@ from agent.experiments.navigation.basin import START_NS, TANK, PlanarBodies, twi
 from agent.experiments.navigation.swimmers import Pillar, Swimmers
 from hw.twin.scene import generator
 
-# @@ wanderer
+# --- a target that wanders ---
 # A target that wanders about the basin at one speed, as a fish does, and what a fleet would know of it.
 #
 # Its turning is an Ornstein-Uhlenbeck process; near a wall it turns towards the middle. It does not shy away from
@@ -130,7 +130,7 @@ class ToldEstimator:
         return Word(None, None)
 
 
-# @@ follow
+# --- follow ---
 
 ROBOTS, STANDOFF_M = 3, 0.7
 SPEEDS_M_S = (0.1, 0.2)
@@ -183,7 +183,7 @@ def figures(arms: np.ndarray) -> Row:
     }
 
 
-# @@ search
+# --- search ---
 # Robots that nobody has told where the ball lies look for it: three who divide the basin, or one alone.
 #
 # The ball lies where none of the three sees it from where it starts, looking ahead.

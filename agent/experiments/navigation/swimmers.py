@@ -47,7 +47,7 @@ from hw.twin.dive import RobotPose
 from hw.twin.scene import generator
 from hw.twin.truth import true_tags
 
-# @@ drawn_camera
+# --- drawn camera ---
 # What a robot's camera would tell it of the basin: tags and points of floor and walls projected, never rendered.
 #
 # The tags hang where the twin's survey errors put them (hw.twin.truth), the camera looks from where the twin's
@@ -172,7 +172,7 @@ def points_of_planes(rng: np.random.Generator) -> Array:
     return np.concatenate(found)
 
 
-# @@ drawn_ball
+# --- drawn ball ---
 # What a robot's camera would tell of a ball: outline, and clarity at each lens position of a sweep, never rendered.
 #
 # What it errs by is what the kernel is told that it errs by: the picture by its noise; the lens by its calibration's
@@ -337,7 +337,7 @@ def _clarity(from_peak: float) -> float:
     return 100.0 + 900.0 / (1.0 + (from_peak / FOCUS.width) ** 2)
 
 
-# @@ swimmers
+# --- swimmers ---
 
 FRAME_STEPS, LATE_STEPS = 2, 2
 NAMES: dict[type[Message], Any] = {row.message: row.name for row in (NEAR, CLAIM, KEYFRAME, LIGHT)}
@@ -481,7 +481,7 @@ class Swimmers:
         return False
 
 
-# @@ notes
+# --- notes of a run ---
 # What robots measured and did in a run, and what carried their cameras then: for a bound, never for an agent.
 
 RESTS_NS = 500_000_000  # after its last order a servo has come to rest

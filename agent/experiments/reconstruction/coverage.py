@@ -33,7 +33,7 @@ from agent.robot.step import Agent
 from hw.twin.camera_device import look as eye_of
 from hw.twin.scene import generator
 
-# @@ drawn_scene
+# --- drawn scene ---
 # A tank with things in it that a draw put there, and what a camera's blocks truly see of it.
 #
 # Ellipsoids and boxes, turned any way, and a wall that stands aslant: what lies along the axes flatters a grid of
@@ -144,7 +144,7 @@ def _turned(axis: Floats, angle: float) -> Floats:
     return np.asarray(np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k))
 
 
-# @@ coverage
+# --- coverage ---
 
 SURVEY_START_NS, STEP_NS, SWEEP_NS = 1_700_000_000_000_000_000, 50_000_000, 3_000_000_000
 SIZE_M, SURFACE_M = (1.5, 1.2, 0.8), 0.5
@@ -379,7 +379,7 @@ def missed_coverage(told: dict[str, Any]) -> list[str]:
     return found
 
 
-# @@ swum
+# --- robots that swim ---
 # How much of a basin three robots that swim know after five minutes of a survey, in virtual time.
 #
 # Whole kernels, bodies in the plane that tethers pull, tags and points that are followed drawn as in the experiment

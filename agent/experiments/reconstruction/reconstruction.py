@@ -217,7 +217,7 @@ def missed(cases: list[Row]) -> list[str]:
     return found
 
 
-# @@ tables
+# --- tables ---
 # A line for each tank, water and kind of poses; what was missed.
 
 

@@ -26,7 +26,7 @@ from hw.twin.optics.lens import Lens
 from hw.twin.optics.raycast import Optics, ray
 from hw.twin.scene import Scene, Solid, generator, load_scene
 
-# @@ world
+# --- the world ---
 # The tank of one seed, what lies in it, and where cameras stand: five moored robots, and five other places.
 
 BALL_M = 0.07
@@ -114,7 +114,7 @@ def held_back_new() -> list[Station]:
     ]
 
 
-# @@ intrinsics
+# --- intrinsics ---
 # The camera model that fits a twin's lens and flat port best: exact but for what the model cannot express.
 
 NEAR_M, FAR_M = 0.25, 1.3
@@ -166,7 +166,7 @@ def _seen(numbers: Floats, lens: Lens, points: Floats) -> Floats:
     return project(Camera(f, cx, cy, bend, ahead, lens.width, lens.height), points)
 
 
-# @@ render
+# --- render ---
 
 EXACT = diagonal_prior(1e-5, 1e-5)
 TRUTH_STEP = 4  # of the full picture's pixels one in so many, across and down, has its true depth kept
@@ -262,7 +262,7 @@ def truth_points(rendered: Rendered) -> Sequence[NDArray[np.float64]]:
     return points
 
 
-# @@ noisy
+# --- noisy poses ---
 # Poses as wrong as a survey leaves them: an error that all views of a robot share, and a small one of each view.
 
 SHARED = (3e-3, math.radians(0.5))  # of a robot: m and rad, standard deviations along and about each axis

@@ -146,7 +146,7 @@ def _nearest(
         found[n] = best**0.5
 
 
-# @@ pictures
+# --- pictures ---
 # What an image model is worth on photographs held back, and poses before and after they were refined.
 #
 # Poses that were refined are so but for a motion of everything: held-back views are carried into the model's world,

@@ -51,7 +51,7 @@ from hw.twin.optics.painter import Painter
 from hw.twin.optics.raycast import Eye
 from hw.twin.scene import Scene, Solid, generator, load_scene
 
-# @@ basin
+# --- basin ---
 # A basin of 10 x 6 m with stones and other things on its floor, and where seven robots that survey it take keyframes.
 #
 # Each robot has a lane along the basin. It stops every few decimetres and looks down to one side, ahead, to the other
@@ -116,7 +116,7 @@ def stops(seed: int, count: int = MOST) -> list[Stop]:
     return found[:count]
 
 
-# @@ drawn
+# --- drawn ---
 # Keyframes of the basin: pictures by the twin's painter, depths drawn about what its ray caster says.
 #
 # Nothing is swept. A block's depth is the mean of what it truly sees, by 1/z, with the error of the lens position
@@ -209,7 +209,7 @@ def coarser(lens: Lens, times: int) -> Lens:
     )
 
 
-# @@ measured
+# --- measured ---
 # Time and memory of one reconstruction, in a process of its own: what it needed at most is asked of the system.
 
 SAMPLED = 50_000  # vertices that are held against the truth: one in so many
@@ -334,7 +334,7 @@ def _silent(done: int, total: int, what: str = "") -> None:
     """Nobody looks."""
 
 
-# @@ size
+# --- size ---
 
 COUNTS = (125, 250, MOST)
 MOST_MB = 4000.0

@@ -28,7 +28,7 @@ from agent.process.certificates import credentials
 from agent.process.transport import LOOKER, Observer, fleet_clock
 from agent.robot.verbs import URGENT
 
-# @@ telling
+# --- telling ---
 # A vehicle as messages of MAVLink. Pure; what is not known is marked as such, or left out. Source: common.xml.
 
 EARTH_M = 6_378_137.0  # equatorial radius of WGS84
@@ -131,7 +131,7 @@ def status_texts(level: Level, text: str, number: int) -> Iterator[Any]:
         yield mavlink.MAVLink_statustext_message(SEVERITY[level], piece, 0 if whole else number % NONE16 + 1, index)
 
 
-# @@ asking
+# --- asking ---
 # What a ground station wants, as an order of ours, or why it is none. Pure.
 
 EVERYBODY = 0  # as the target system: all
@@ -185,7 +185,7 @@ def _mode(base: float, custom: float) -> str:
     return MODES.get(custom, "") if known else ""
 
 
-# @@ parameters
+# --- parameters ---
 # A robot's parameters: a few facts of the fleet file, to be read. Pure.
 #
 # Ground stations ask for all of a vehicle's parameters before they call it connected. What is set here would have to
@@ -219,7 +219,7 @@ def answers(all_of_it: Parameters, message: Any) -> Iterator[Any]:
         )
 
 
-# @@ gateway
+# --- gateway ---
 # Between a fleet and a ground station: what each robot shows becomes its vehicle's messages, and commands orders.
 #
 # Each robot is a system of its own, by its place in the fleet file, from 1 on. Nothing here opens a socket or looks
@@ -386,7 +386,7 @@ def _wants(message: Any) -> int | None:
     return int(message.param1) if 0 <= message.param1 < 2**24 else -1
 
 
-# @@ bridge
+# --- bridge ---
 
 HOST = "127.0.0.1"
 PERIOD_S = 0.02  # between two looks at what robots have said

@@ -27,7 +27,7 @@ from hw.firmware.failsafe import SURFACE
 from router_config.session import Session
 from router_config.settings import client_config
 
-# @@ hearing
+# --- a robot's own word ---
 # What a robot says in its own name.
 
 
@@ -41,7 +41,7 @@ def own_word(received: Received) -> Message | None:
     return None
 
 
-# @@ outward
+# --- into another network ---
 
 PERIOD_S = 0.02  # between two looks at what robots have said
 
@@ -91,7 +91,7 @@ def run(
                         session.put_foreign(*theirs)
 
 
-# @@ newest
+# --- newest states ---
 # What each robot said last, and whether that is recent enough to be passed on as what is so now.
 
 STALE_NS = 3_000_000_000  # robots refuse orders by an older State, too
@@ -131,7 +131,7 @@ class Newest:
         return heard.state if max(age_ns, wall_ns - heard.wall_ns) <= STALE_NS else None
 
 
-# @@ placed
+# --- where a body is ---
 # Where a robot's body is and how it is turned, as it says itself: for languages whose world is like ours.
 #
 # That is z up, x ahead and y to the left: ROS's REP 103, ISO 8855.
@@ -165,7 +165,7 @@ def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
     )
 
 
-# @@ vehicle
+# --- vehicle ---
 # A robot's State as a vehicle: north, east, down, and the words of ArduSub. Pure, and without MAVLink's library.
 #
 # North is y of the world frame, east is x, down is from the surface. Heading counts clockwise from north. Roll is as

@@ -18,7 +18,7 @@ from agent.core.messages import Estimate, Image, Message, State
 from agent.core.topics import IMAGE, LINK, STATE, Topic, target_chunk
 from agent.ground.bridges.outward import WORLD, Foreign, placed
 
-# @@ names
+# --- names ---
 # Keys and tokens by which rmw_zenoh finds topics, and what goes along with each message. Pure.
 #
 # Source: rmw_zenoh, docs/design.md: a topic's key, graph cache, attachment.
@@ -78,7 +78,7 @@ def nodes(session: str, domain: int, robots: dict[str, dict[str, Kind]]) -> dict
     return found
 
 
-# @@ telling
+# --- telling ---
 # What robots show, as messages of ROS 2. Pure.
 #
 # Our world frame is ROS's own kind (REP 103): z up, body x ahead and y to the left; so are roll, pitch and yaw.
@@ -163,7 +163,7 @@ class Telling:
         return bytes(self._store.serialize_cdr(self._made(name)(**fields), name))
 
 
-# @@ language
+# --- topics ---
 
 
 class Ros2:

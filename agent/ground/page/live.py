@@ -26,7 +26,7 @@ from agent.process.command import free_name
 from agent.process.transport import Observer, Received
 from agent.robot.verbs import CLOCK, URGENT
 
-# @@ record
+# --- recording from the page ---
 # Recording a fleet from the page's own process: on and off, into new files.
 
 logger = logging.getLogger(__name__)
@@ -76,7 +76,7 @@ class Recording:
             logger.warning("the recording ended: %s", error)
 
 
-# @@ live
+# --- live ---
 
 SHOWN = (STATE, LINK, NEAR, CLAIM, IMAGE, LOG, ANSWER)
 PERIOD_S = 0.1  # of the wall, between two looks at what has arrived: states come no more often
@@ -191,7 +191,7 @@ class Live:
             self._board.say(text({"k": "outcome", **note, "trouble": str(refusal)}))
 
 
-# @@ ordering
+# --- orders from the page ---
 # Orders of whoever stands at the page: through a console, by the states that he has seen.
 
 BEHIND_NS = 3_000_000_000  # robots refuse what goes by an older State, too

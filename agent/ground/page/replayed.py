@@ -26,7 +26,7 @@ from replay.files.log import read
 from replay.report.lead import lead
 from replay.report.timeline import open_fleet_file, open_run, surveyed
 
-# @@ reel
+# --- a recording laid out ---
 # A recording of a fleet, laid out so that any moment of it can be shown: rows by time, their payloads on the disk.
 
 LEAST_NS = 90_000_000  # between two rows of one key that are kept: the page draws ten a second
@@ -113,7 +113,7 @@ def fleet_file(path: Path) -> Path:
     return found[0]
 
 
-# @@ replayed
+# --- replayed ---
 
 PERIOD_S = 0.05  # of the wall, between two steps of the cursor
 CLOCK_S = 0.25  # of the wall, between two notes of where it is
@@ -227,7 +227,7 @@ class Replayed:
         self._board.show("clock", lambda: text(note))
 
 
-# @@ came
+# --- outcome of a recorded run ---
 # What came of a recorded run, as its report says it: found beside the page, for a long recording takes a while.
 
 

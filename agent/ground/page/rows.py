@@ -135,7 +135,7 @@ def _answer(answer: Answer) -> Fields:
     return {**_stamped(answer), "id": str(answer.id)}
 
 
-# @@ board
+# --- what the page shows ---
 # What a page shows now, and what each open page has not been sent yet.
 #
 # One message of a key is on its way to a page at any time: the next one goes when the page says that it has drawn the

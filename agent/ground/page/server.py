@@ -192,7 +192,7 @@ class Site:
         return response
 
 
-# @@ hello
+# --- what does not change ---
 # What does not change while a page is open: the tank, the robots, who looks, and what may be ordered.
 
 Kind = Literal["live", "recording"]
@@ -263,7 +263,7 @@ def half_view_deg(calibration: Path) -> tuple[float, float] | None:
     return None
 
 
-# @@ page
+# --- page ---
 # `aucamp page`: a running fleet or a recording, in a browser, until it is ended.
 
 Say = Callable[[str], None]
@@ -324,7 +324,7 @@ def page_of_recording(path: Path, stop: Event, port: int, say: Say) -> None:
         asyncio.run(run())
 
 
-# @@ command
+# --- command ---
 # `aucamp page`: what is to be shown, as whom, and what is told to whoever typed it.
 
 

@@ -87,7 +87,7 @@ def expose(
                 image[row, col, c] = curve[int(min(max(light, ZERO), ONE) * FULL_SCALE + HALF)]
 
 
-# @@ motion
+# --- motion ---
 # Motion blur: how far the picture moves while the shutter is open, and in how many parts the exposure is drawn.
 
 During = Callable[[float], Moment]  # the world at a share of the exposure, from -0.5, its start, to 0.5, its end
@@ -121,7 +121,7 @@ def _places_m(moment: Moment) -> list[NDArray[np.float64]]:
     return solids + hulls + parts
 
 
-# @@ metering
+# --- exposure in the dark ---
 # Exposure as a camera module sets it in the dark: longer, until it lasts a whole frame, then more gain.
 #
 # It follows the scene at once, as a module that has settled; one that still settles would change its picture in the
@@ -156,7 +156,7 @@ def coarse(lens: Lens) -> Lens:
     )
 
 
-# @@ disks
+# --- disks ---
 # The disks that a blur is summed over: where their taps are, and what they weigh.
 
 Ints = NDArray[np.int64]
@@ -205,7 +205,7 @@ def _cubic(t: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(t < 1, (1.5 * t - 2.5) * t * t + 1, np.where(t < 2, ((-0.5 * t + 2.5) * t - 4) * t + 2, 0))
 
 
-# @@ defocus
+# --- defocus ---
 # Blur by the lens: every pixel is the mean of the sharp picture over its own circle of confusion.
 #
 # CoC_px = (A v / p) |X - 1/s|,  X = 1/f - 1/v,  A = f/N,  s the apparent distance (thin lens, written in vergence). A

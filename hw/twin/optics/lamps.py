@@ -49,7 +49,7 @@ from hw.twin.optics.veil import (
     scattering,
 )
 
-# @@ light
+# --- light ---
 # Light of lamps on surfaces: from each lamp through the water to what a pixel shows, and from there to the camera.
 #
 # What the water scatters on the way by less than 5 degrees still arrives, as does part of the rest, from all around:
@@ -188,7 +188,7 @@ def add_veil(grid: Grid, veil: NDArray[np.float32], x0: int, y0: int, depth: Flo
                 picture[row, col, c] += near + fz * (far - near)
 
 
-# @@ lit
+# --- pictures with lamps ---
 
 Part = tuple[int, int, int, int]  # x, y, width, height in the full frame
 

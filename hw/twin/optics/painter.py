@@ -53,7 +53,7 @@ from hw.twin.optics.tags import make_decals, paint
 from hw.twin.scene import Scene, generator
 from hw.twin.truth import PaintedTag
 
-# @@ parts
+# --- parts ---
 # Parts of a frame: what of it is traced, and how much around it the blur needs.
 
 Part = tuple[int, int, int, int]  # x, y, width, height in the full frame
@@ -77,7 +77,7 @@ def grown(part: Part, rim: int) -> Part:
     return x0, y0, -(-(x + width + rim - x0) // ALIGN) * ALIGN, -(-(y + height + rim - y0) // ALIGN) * ALIGN
 
 
-# @@ outline
+# --- outline ---
 # Where in a frame a creature truly is: for who judges what was seen, never for an agent.
 
 Box = tuple[int, int, int, int]  # x0, y0, x1, y1 in pixels of the full frame: x0 <= x < x1, y0 <= y < y1
@@ -137,7 +137,7 @@ def _identity(view: View, x0: int, y0: int, x1: int, y1: int) -> np.ndarray:
     return identity
 
 
-# @@ painter
+# --- painter ---
 
 Image = NDArray[np.uint8]  # (h, w, 3), blue green red
 

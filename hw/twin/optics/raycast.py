@@ -188,7 +188,7 @@ def _trace_cube(view: View, e: int, x0: int, y0: int, depth: Floats, identity: I
                 identity[row, col] = SOLID_ID + e
 
 
-# @@ texture
+# --- texture ---
 # Surfaces that a camera can focus on: periodic noise over all scales, with mip levels against aliasing.
 
 SIZE = 1024  # texels a side, a power of two
@@ -268,7 +268,7 @@ def _mips(texture: NDArray[np.float64]) -> NDArray[np.uint8]:
     return np.concatenate(levels)
 
 
-# @@ view
+# --- view from above ---
 # Where everything is, seen from one camera: poses and sizes become the maps that the ray caster works with.
 
 Affine = NDArray[np.float64]  # (3, 4) rotation and shift

@@ -170,7 +170,7 @@ def _on_solid(view: View, e: int, px: F, py: F, u: F) -> tuple[F, F, F]:
     return s + view.pattern[e, 0], t + view.pattern[e, 1], facing
 
 
-# @@ water
+# --- water ---
 # What water does to light: I = J exp(-bD z) + Binf (1 - exp(-bB z)), per colour (Akkaynak and Treibitz, CVPR 2018).
 #
 # z is the length of the way through the water. bD, of the object's own light, and bB, of the veil, differ: the

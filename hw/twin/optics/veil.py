@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from hw.twin.optics.raycast import ONE, ZERO, F, LampBeam, Optics, inlined, kernel, ray
 
-# @@ scattered
+# --- scattered ---
 # Light that particles scatter: once, by the phase function, and more often, by a table that a Monte Carlo has filled.
 #
 # What goes less than 5 degrees aside is taken as going straight on: for the veil it makes no difference, and what is
@@ -144,7 +144,7 @@ def _along(values: Array, nodes: Array, x: Array | float, axis: int = 0) -> Arra
     return np.asarray(np.take(values, i, axis) * (1 - part) + np.take(values, i + 1, axis) * part)
 
 
-# @@ beam
+# --- beam ---
 # A lamp that burns, as a camera meets it: from where, where to, and what stands in its light.
 
 INTENSITY_W_SR = 1.2  # on the axis, in each of three bands, at full power: some 1000 lm
@@ -209,7 +209,7 @@ def make_beams(
     )
 
 
-# @@ veil
+# --- veil ---
 
 PER_M = np.float32(512)  # steps a metre of transmission
 CELLS, SUB = 24, 3  # along a ray, and steps in each

@@ -16,7 +16,7 @@ from agent.core.config import Tank
 from hw.compiled import compiled
 from hw.twin.scene import generator
 
-# @@ thruster
+# --- thruster ---
 # One thruster: pulse -> static curve with dead band -> first-order lag -> force.
 
 F_MAX_N = 10.0  # forward, at 1900 us: small thrusters; a T200 would be oversized for 4 kg
@@ -51,7 +51,7 @@ def lagged_thrust_n(force_n: float, target_n: float, lag_s: float, dt_s: float) 
     return target_n + (force_n - target_n) * math.exp(-dt_s / lag_s)
 
 
-# @@ servo
+# --- servo ---
 # One gimbal servo: commanded angle -> scale and zero error -> lag and slew of the motor -> play of the gears.
 
 SERVO_LAG_S = 0.04
@@ -76,7 +76,7 @@ def shaft_deg_after(shaft_deg: float, motor_deg: float) -> float:
     return min(max(shaft_deg, motor_deg - PLAY_DEG / 2), motor_deg + PLAY_DEG / 2)
 
 
-# @@ body
+# --- body ---
 
 # One record per robot, read by the compiled kernels. Vectors are body x, y, z; six-vectors add roll, pitch, yaw.
 BODY = np.dtype(
@@ -211,7 +211,7 @@ def draw_servos(body: NDArray[np.void], seed: int, robot: str, mounting: Mountin
     body["servo_high_deg"] = np.array(high * 2) + STOP_MARGIN_DEG
 
 
-# @@ rotation
+# --- rotation ---
 # Rotations for the compiled kernels: vectors and quaternions are tuples, so that nothing is allocated.
 #
 # A quaternion (w, x, y, z) turns body into world; R = Rz(yaw) Ry(pitch) Rx(roll), positive pitch is nose down.
@@ -297,7 +297,7 @@ def gimbal(pan_deg: float, tilt_deg: float) -> NDArray[np.float64]:
     return matrix(quaternion(0.0, -math.radians(tilt_deg), math.radians(pan_deg)))
 
 
-# @@ lamp
+# --- the robot's own lamp ---
 # The lamp of each robot: what it takes from the pack, how warm it gets, and what is left of its light then.
 #
 # A lamp of 15 W in the water that cools it. Its driver keeps to that power, and to less where it is hot or the pack
@@ -341,7 +341,7 @@ class Lamps:
         self.temperature_c += (end_c - self.temperature_c) * -np.expm1(-dt_s / SETTLING_S)
 
 
-# @@ battery
+# --- battery ---
 # The pack of each robot: its voltage falls with the current that the thrusters draw, and their thrust with it.
 
 OPEN_V = 14.92  # four cells half way down, without load

@@ -141,7 +141,7 @@ def add_lines(body: Record, p: Vector, q: Quaternion, v_world: Vector, w: Vector
         add_force(wrench, to_body(q, (tension * dx, tension * dy, tension * dz)), eye)
 
 
-# @@ contact
+# --- contact ---
 # Contacts of a hull with the floor, the walls and the other hulls.
 
 # Contacts are springs that resist being pressed in; 2 kN/m lets a 4 kg hull sink in by millimetres.

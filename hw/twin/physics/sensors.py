@@ -101,7 +101,7 @@ class PressureSensors:
         return np.asarray(np.round((self._still_pa + drift_pa + water_pa + noise_pa) / STEP_PA) * STEP_PA)
 
 
-# @@ waves
+# --- waves ---
 # A standing wave along the tank, as the pressure sensors see it: linear theory, water of finite depth.
 #
 # p = rho g A cosh(k z) / cosh(k h) cos(k x) cos(omega t), k = m pi / L, omega^2 = g k tanh(k h), z above the floor

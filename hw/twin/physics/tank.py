@@ -145,7 +145,7 @@ def push(state: np.void, force_n: Vector, point_m: Vector, for_s: float) -> None
     state["push_n"], state["push_at_m"], state["push_s"] = force_n, point_m, for_s
 
 
-# @@ plant
+# --- overrides of an experiment ---
 # What an experiment decides about a robot, instead of leaving it to chance: one row of overrides per robot.
 
 
@@ -170,7 +170,7 @@ def set_body(body: NDArray[np.void], plant: Plant) -> None:
     body["stagnation"] = plant.dynamic_pressure
 
 
-# @@ flow
+# --- flow ---
 # Water that flows, and tethers that pull: what each moment brings, as random processes with streams of their own.
 #
 # The current is one velocity everywhere, walls or not: its constant part, and in x and y a gust that comes and goes
@@ -239,7 +239,7 @@ class Flow:
         self._kept[row], self._gain[row] = kept, sigma * math.sqrt(1 - kept * kept)
 
 
-# @@ gyro
+# --- gyro ---
 # The yaw gyro of each robot that has one: an ICM-42688-P lying flat in the hull, 100 readings a second.
 #
 # Figures of its data sheet (TDK InvenSense DS-000347): noise, zero offset and its drift with temperature, error of
