@@ -144,7 +144,7 @@ def router(
     """A place to look from, until Ctrl-C: consoles attach to it. The robots do not need it."""
     with until_signal() as stop:
         from agent.process.certificates import credentials
-        from agent.process.launch import run_router
+        from agent.process.transport import run_router
 
         robots = load_fleet(fleet)
         run_router(robots, stop, listen, complain, credentials(robots, ROUTER, fleet))

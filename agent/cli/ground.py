@@ -319,6 +319,6 @@ def board_reboot(fleet: FleetFile, robot: RobotName) -> None:
 
     Look at the robot first: it was latched for a reason. Refused while its motors are on.
     """
-    from agent.ground.board_reboot import reboot
+    from agent.ground.console import reboot
 
     reboot(fleet, robot, complain)

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal, get_args
 
 import typer
 
 from agent.core.config import ConfigError
-from agent.perception.enhancement.enhance import Variant
 from agent.process.command import FleetFile, RobotName, terminal
 
 app = typer.Typer()
 train_app = typer.Typer(no_args_is_help=True, help="Train what the robots see with.")
 app.add_typer(train_app, name="train")
+
+# Of enhance.Variant, whose file loads OpenCV and numba.
+Variant = Literal["plain", "folded", "fast", "classic", "auto"]
 
 
 @app.command("depth-map", epilog="Example: aucamp depth-map photographs/ --out depth.png")
@@ -88,9 +90,11 @@ def enhance(
     size: Annotated[str, typer.Option(help="Of --evaluate: WIDTHxHEIGHT, or own.")] = "256x256",
 ) -> None:
     """Pictures as if there were less water in front of them; --evaluate measures how well."""
+    from agent.perception.enhancement import enhance as ways
     from agent.tools import enhance as enhance_source
     from agent.tools import evaluate_enhance as enhance_evaluate
 
+    assert get_args(Variant) == get_args(ways.Variant)
     if (bool(source)) == (evaluate is not None):
         raise ConfigError("enhance: give either a SOURCE or --evaluate RAW REFERENCE")
     if evaluate is not None:

@@ -9,17 +9,18 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, TypeVar, get_args
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar, get_args
 
-import matplotlib
 import msgspec
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console, RenderableType
 
 from agent.core.config import WaterKind
 from agent.process.command import Failed, Progress, run_folder, with_bar
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # --- result ---
 # What an experiment found, as it goes into result.json.
@@ -55,11 +56,13 @@ def write_result(result: ExperimentResult, folder: Path) -> None:
 # --- figure files ---
 # The figures of an experiment, as they go into its folder.
 
-Figures = Iterator[tuple[str, Figure]]  # file name and figure; the name's suffix says how it is written
+Figures = Iterator[tuple[str, "Figure"]]  # file name and figure; the name's suffix says how it is written
 
 
 def write_figures(figures: Figures, folder: Path) -> None:
     """Write them all; in SVG text stays text, and neither a date nor drawn ids make two runs differ."""
+    import matplotlib  # here, for the command line reads this file for its names alone
+
     for name, figure in figures:
         with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": name}):
             figure.savefig(folder / name, metadata={"Date": None} if name.endswith(".svg") else None)

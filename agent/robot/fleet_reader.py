@@ -15,8 +15,8 @@ from typing import Any
 
 import msgspec
 
+from agent.capabilities.swim.barrier import MARGIN_M, WALL_M
 from agent.capabilities.swim.landmarks import OFF_M, axes, corners, landmarks_of, plane
-from agent.capabilities.swim.pilot import MARGIN_M, WALL_M
 from agent.core.config import (
     Behaviour,
     ConfigError,

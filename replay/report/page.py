@@ -9,15 +9,15 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-import matplotlib
 from markupsafe import Markup, escape
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
 
 from agent.core.config import Fleet
 from agent.core.messages import Symmetric, Vector
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # --- view from above ---
 # A view of the tank from above as SVG: metres of the world frame to units of the picture.
@@ -424,6 +424,9 @@ class Section(NamedTuple):
 
 def svg(figure: Figure) -> Markup:
     """The figure as an element of the page, in the page's colours, which are light or dark."""
+    import matplotlib  # here: the operator's page takes colours and pictures alone
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+
     text = io.StringIO()
     with matplotlib.rc_context(
         {"svg.fonttype": "none", "svg.hashsalt": "aucamp"}

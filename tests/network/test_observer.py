@@ -23,8 +23,7 @@ from agent.core.messages import MAX_JPEG, Estimate, Image, LogLine, State
 from agent.core.topics import IMAGE, STATE
 from agent.ground.schemas import decode as printed
 from agent.perception.vision import compressed
-from agent.process.launch import run_router
-from agent.process.transport import Observer, Transport
+from agent.process.transport import Observer, Transport, run_router
 from replay.files.info import describe, info
 from replay.files.log import read
 from replay.recorder import Arrivals

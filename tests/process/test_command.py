@@ -10,7 +10,8 @@ from rich.text import Text
 
 from agent.__main__ import app
 from agent.core.messages import LogLine, NeighbourState, State
-from agent.process.command import AGAIN_NS, ConsoleLog, plain_console, standing, with_bar, with_spinner
+from agent.process.agent_process import AGAIN_NS, ConsoleLog, standing
+from agent.process.command import plain_console, with_bar, with_spinner
 from tests.places import ROOT
 
 START_NS = 1_700_000_000_000_000_000

@@ -30,7 +30,7 @@ from agent.capabilities.survey.coverage_map import (
     rotation,
     slope,
 )
-from agent.capabilities.swim.pilot import Planar
+from agent.capabilities.swim.barrier import Planar
 from agent.core.capability_messages import Lens, View, place_of
 from agent.core.config import Body, Pose
 from agent.core.linear_algebra import wrap

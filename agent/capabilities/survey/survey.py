@@ -35,7 +35,7 @@ from agent.capabilities.survey.coverage_map import (
     quaternion,
 )
 from agent.capabilities.survey.exchange import Exchange
-from agent.capabilities.swim.pilot import MARGIN_M, WALL_M, Planar
+from agent.capabilities.swim.barrier import MARGIN_M, WALL_M, Planar
 from agent.capabilities.swim.swimmer import Swimmer, pose_of
 from agent.core.attitude import Attitude, AttitudeLog
 from agent.core.capability_messages import (

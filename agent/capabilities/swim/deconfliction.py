@@ -9,8 +9,7 @@ from collections.abc import Collection, Iterable
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.capabilities.swim.localizer import UNSURE_DEG, UNSURE_M, sigmas, within
-from agent.capabilities.swim.pilot import (
+from agent.capabilities.swim.barrier import (
     DELAY_S,
     RINGS_M,
     Disc,
@@ -21,6 +20,7 @@ from agent.capabilities.swim.pilot import (
     robot,
     safe_velocity,
 )
+from agent.capabilities.swim.localizer import UNSURE_DEG, UNSURE_M, sigmas, within
 from agent.capabilities.swim.pose_filter import Belief
 from agent.core.codec import Refusal
 from agent.core.config import Fleet

@@ -14,9 +14,9 @@ from typing import NamedTuple
 from msgspec import UNSET
 
 from agent.capabilities.swim.aided_pose import Aid, Seen, offset_m
+from agent.capabilities.swim.barrier import STILL as AT_REST
 from agent.capabilities.swim.event_ring import Event, EventRing, asked, fix, flow, rate
 from agent.capabilities.swim.landmarks import markers
-from agent.capabilities.swim.pilot import STILL as AT_REST
 from agent.capabilities.swim.plane_odometry import by_things, odometry
 from agent.capabilities.swim.pose_filter import Belief, Drift, Hull, Wrench, basin, begin, learnt
 from agent.capabilities.swim.projection import readable, view

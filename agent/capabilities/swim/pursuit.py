@@ -16,7 +16,10 @@ from msgspec import UNSET, UnsetType
 from agent.capabilities.swim.swimmer import Swimmer, pose_of
 from agent.capabilities.swim.tag_fix import TURNING_DEG
 from agent.core.attitude import Attitude, AttitudeLog
-from agent.core.config import Body, Fleet
+from agent.core.config import (
+    Body,
+    Fleet,
+)
 from agent.core.control.pointing import SERVO_LAG_S
 from agent.core.control.search_pattern import rows_deg
 from agent.core.control.target_search import Seek

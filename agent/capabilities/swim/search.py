@@ -16,7 +16,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.capabilities.swim.pilot import MARGIN_M, STILL, WALL_M, Planar, Reference
+from agent.capabilities.swim.barrier import MARGIN_M, STILL, WALL_M, Planar, Reference
 from agent.core.config import Search
 from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector

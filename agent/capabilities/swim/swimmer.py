@@ -9,9 +9,12 @@ from typing import NamedTuple
 
 from msgspec.structs import replace
 
-from agent.capabilities.swim.behaviour import Progress, effective, reference, start
+from agent.capabilities.swim.barrier import SIGMAS, TARGET_M, Disc, Planar, Reference
+from agent.capabilities.swim.barrier import STILL as AT_REST
+from agent.capabilities.swim.behaviour import Progress, effective, reference, start, wanted_velocity, wrench
 from agent.capabilities.swim.deconfliction import Company, Neighbours, direly_unsure, pace
-from agent.capabilities.swim.landmarks import Glance, Sure, half_picture_deg, markers
+from agent.capabilities.swim.landmark_look import Glance, Sure, half_picture_deg
+from agent.capabilities.swim.landmarks import markers
 from agent.capabilities.swim.localizer import (
     AWAY_S,
     LOST_DEG,
@@ -31,12 +34,19 @@ from agent.capabilities.swim.localizer import (
     sigmas,
     within,
 )
-from agent.capabilities.swim.pilot import SIGMAS, TARGET_M, Disc, Planar, Reference, wanted_velocity, wrench
-from agent.capabilities.swim.pilot import STILL as AT_REST
 from agent.capabilities.swim.pose_filter import Belief, Wrench
 from agent.capabilities.swim.search import Hunt, Surroundings, velocity_m_s
 from agent.core.attitude import Attitude, AttitudeLog
-from agent.core.config import Behaviour, Fleet, Follow, Hold, Pose, Robot, Search, Survey
+from agent.core.config import (
+    Behaviour,
+    Fleet,
+    Follow,
+    Hold,
+    Pose,
+    Robot,
+    Search,
+    Survey,
+)
 from agent.core.control.search_pattern import Roam, all_around, spiral
 from agent.core.control.target_search import Seek
 from agent.core.estimation.interface import Posterior

@@ -13,9 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from agent.capabilities.swim.aided_pose import Aid, Seen, offset_m
+from agent.capabilities.swim.barrier import Reference
+from agent.capabilities.swim.behaviour import wanted_velocity, wrench
 from agent.capabilities.swim.event_ring import Event, EventRing, asked, fix, rate
 from agent.capabilities.swim.localizer import LOST_DEG, LOST_M, within
-from agent.capabilities.swim.pilot import Reference, wanted_velocity, wrench
 from agent.capabilities.swim.pose_filter import RATE_RAD_S, Belief, Drift, Hull, begin
 from agent.core.config import Goto, Look, Pose
 from agent.core.estimation.evidence_table import Table

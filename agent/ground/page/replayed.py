@@ -23,7 +23,6 @@ from agent.ground.page.rows import CAME, KEPT, LINES, SELDOM_NS, Board, Rows, te
 from replay.check.reexecute import recordings
 from replay.files.channels import network_topic
 from replay.files.log import read
-from replay.report.lead import lead
 from replay.report.timeline import open_fleet_file, open_run, surveyed
 
 # --- a recording laid out ---
@@ -244,6 +243,8 @@ def show_what_came(path: Path, board: Board, loop: asyncio.AbstractEventLoop) ->
 
 def came_of(path: Path) -> str:
     """The page's message: the sentence, the pictures and the table that the report of `path` leads with."""
+    from replay.report.lead import lead  # with what draws and counts: only a recording needs it
+
     try:
         run = open_run(path)
         found = lead(run, surveyed(run.fleet, run.boxes))

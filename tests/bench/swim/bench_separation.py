@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from agent.capabilities.swim.pilot import RINGS_M
+from agent.capabilities.swim.barrier import RINGS_M
 from tests.capabilities.swim.swimming_fleet import FleetInTank, fleet_of
 from tests.capabilities.swim.tank_with_tags import TANK_M
 

@@ -5,8 +5,9 @@ import math
 import numpy as np
 
 from agent.capabilities.swim.aided_pose import Aid, Seen, offset_m
+from agent.capabilities.swim.barrier import Reference
+from agent.capabilities.swim.behaviour import wanted_velocity, wrench
 from agent.capabilities.swim.event_ring import EventRing, asked, fix, rate
-from agent.capabilities.swim.pilot import Reference, wanted_velocity, wrench
 from agent.capabilities.swim.pose_filter import FIRST_BIAS_RAD_S, RATE_RAD_S, Drift, Hull, begin, motion
 from agent.core.estimation.interface import Posterior
 from agent.core.linear_algebra import upper, wrap

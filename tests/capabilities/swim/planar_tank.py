@@ -4,8 +4,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from agent.capabilities.swim.behaviour import wanted_velocity, wrench
 from agent.capabilities.swim.event_ring import EventRing, asked, fix
-from agent.capabilities.swim.pilot import wanted_velocity, wrench
 from agent.capabilities.swim.pose_filter import Drift, Hull, begin
 from agent.experiments.navigation.basin import PlanarBody
 

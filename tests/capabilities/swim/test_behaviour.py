@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from agent.capabilities.swim.barrier import WALL_M
 from agent.capabilities.swim.behaviour import COAST_NS, LEGS, Spin, Stage, place_around, reference, start, trial
-from agent.capabilities.swim.pilot import WALL_M
 from agent.capabilities.swim.search import ANYWHERE_M, GIMBAL_RAD, SEEN_NS, SPEED_NS, Surroundings, known
 from agent.core.config import Follow, Look, Navigation, Pose, Search, Trial
 from agent.core.linear_algebra import wrap

@@ -8,17 +8,8 @@ import pytest
 from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
-from agent.capabilities.swim.landmarks import (
-    SEARCH_DEG,
-    WAIT_NS,
-    Glance,
-    Sure,
-    axes,
-    corners,
-    facing,
-    markers,
-    survey_jacobian,
-)
+from agent.capabilities.swim.landmark_look import SEARCH_DEG, WAIT_NS, Glance, Sure
+from agent.capabilities.swim.landmarks import axes, corners, facing, markers, survey_jacobian
 from agent.core.attitude import Attitude
 from agent.core.config import Body, ConfigError, Landmarks, Pose, Tag, Tank, common, dump
 from agent.core.ranging.camera_model import camera_pose, to_camera

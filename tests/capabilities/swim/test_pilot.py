@@ -9,14 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.capabilities.swim.behaviour import MOST_TURNED_RAD, reference, start
-from agent.capabilities.swim.pilot import (
+from agent.capabilities.swim.barrier import (
     APART_1_S,
     BRAKE_M_S2,
     DELAY_S,
     FLEES_M,
     FORCE_N,
-    LEAD,
     MOMENT_NM,
     NEAR_1_S,
     RINGS_M,
@@ -24,18 +22,24 @@ from agent.capabilities.swim.pilot import (
     STILL,
     SWIMS_M,
     TARGET_M,
-    W_RAD_S,
     WALL_M,
-    YAW_W_RAD_S,
     Disc,
     Reference,
-    Z,
     approach_m_s,
     clear_of,
     nearest,
     robot,
     safe_velocity,
     walls,
+)
+from agent.capabilities.swim.behaviour import (
+    LEAD,
+    MOST_TURNED_RAD,
+    W_RAD_S,
+    YAW_W_RAD_S,
+    Z,
+    reference,
+    start,
     wanted_velocity,
     wrench,
 )

@@ -6,8 +6,8 @@ import math
 import numpy as np
 import pytest
 
+from agent.capabilities.swim.barrier import WALL_M
 from agent.capabilities.swim.behaviour import reference, start
-from agent.capabilities.swim.pilot import WALL_M
 from agent.capabilities.swim.search import SEEN_NS, Surroundings, cell, lanes
 from agent.core.config import Look, Pose, Search
 from agent.core.target_state import TargetEstimate

@@ -4,9 +4,8 @@ import math
 
 import numpy as np
 
-from agent.capabilities.swim.behaviour import reference, start
+from agent.capabilities.swim.behaviour import reference, start, wanted_velocity, wrench
 from agent.capabilities.swim.event_ring import EventRing, asked, fix
-from agent.capabilities.swim.pilot import wanted_velocity, wrench
 from agent.capabilities.swim.pose_filter import Drift, Hull, begin
 from agent.capabilities.swim.tag_fix import TagFix, first_fix, priors, tag_fix
 from agent.core.attitude import Attitude

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from agent.clock.clock import SystemClock
 from agent.core.config import ConfigError, dump
 from agent.core.step_io import SetPoint
-from agent.ground.board_reboot import reboot
+from agent.ground.console import reboot
 from agent.process.command import Failed
 from hw.firmware import failsafe, parameters, wire
 from hw.stm32.driver import Stm32

@@ -18,8 +18,7 @@ from agent.core.codec import Refusal, decode
 from agent.core.config import Fleet, dump
 from agent.core.messages import Estimate, State
 from agent.core.topics import STATE
-from agent.process.launch import run_router
-from agent.process.transport import Observer, Transport
+from agent.process.transport import Observer, Transport, run_router
 from agent.robot.fleet_reader import load_fleet
 from tests.places import ROOT
 

@@ -17,8 +17,7 @@ from agent.core.config import ConfigError
 from agent.core.messages import Estimate, Image, State
 from agent.ground.observe import next_picture
 from agent.process.certificates import CONSOLE_FILE
-from agent.process.launch import run_router
-from agent.process.transport import Transport
+from agent.process.transport import Transport, run_router
 from router_config.session import Session
 from router_config.settings import peer_config, tls
 from tests.network.conftest import unused_port
