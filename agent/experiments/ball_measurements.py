@@ -56,9 +56,7 @@ from hw.twin.physics.sensors import CORNERS, DRIFT_M_S, NOISE_M
 from hw.twin.scene import Scene, Solid, generator, load_scene
 from hw.twin.truth import PaintedTag
 
-# --- posed robot ---
-# A robot of the twin put where one likes: its camera behind its own servos, on the bench first, then in the water.
-#
+# --- a robot of the twin at any pose: on the bench first, then in the water ---
 # Time is virtual. The lens, its motor and the servos are those of one robot throughout, so a calibration made on the
 # bench is as wrong in the water as it would be. It offers what every camera offers (hw.camera.Camera).
 
@@ -128,8 +126,7 @@ def rotation_of(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
     return np.asarray(rz @ ry @ rx)
 
 
-# --- measured level ---
-# What four drifting pressure sensors make of a robot's depth, roll and pitch: drawn from the twin's own figures.
+# --- depth, roll and pitch as four drifting pressure sensors measure them ---
 
 DIVE_S = 120.0  # sensors have drifted for up to so long
 AVERAGED = 10  # samples of a sensor, 0.1 s: what the control module's observer makes of them
@@ -144,7 +141,7 @@ def level_of(depth_m: float, roll_deg: float, pitch_deg: float, rng: np.random.G
     return depth_m + float(error_m.mean()), roll_deg - roll_off, pitch_deg + pitch_off
 
 
-# --- ball measurements ---
+# --- measurements of a ball ---
 
 ROBOT = "r1"
 RANGE_M = (0.25, 1.20)  # camera to ball
@@ -318,16 +315,17 @@ def _no_camera() -> NoReturn:
     raise CameraError("frames are handed over")
 
 
-# --- board host ---
-# The driver's own half of the tether (hw.stm32.protocol), in the virtual time of a dive that goes in lock-step.
-#
-# It talks to a board of the twin on its real pty, and is called once a tick.
+# --- the host's half of a tether ---
 
 SET_POINT_TICKS = 5  # 20 Hz
 
 
 class Host:
-    """The ground computer's half of one tether."""
+    """The ground computer's half of one tether, in the virtual time of a dive that goes in lock-step.
+
+    It speaks the driver's own protocol (hw.stm32.protocol) with a board of the twin on its real pty, and is called
+    once a tick.
+    """
 
     def __init__(self, board: Board) -> None:
         self.protocol = HostProtocol(1)

@@ -80,20 +80,12 @@ def run(settings: Settings, progress: Progress) -> Result:
     )
 
 
-# --- tables ---
-# The fitted curve, its worth, and a verdict in words.
-
-
 def table(result: Result) -> Group:
-    """The same that `aucamp calibrate focus` prints."""
+    """The fitted curve, how good it is, and a verdict in words, as `aucamp calibrate focus` prints them."""
     _, fit, left_out = result.shown
     return Group(result_table(fit, left_out), verdict(fit, left_out))
 
 
-# --- figures ---
-# Measurements, curve and errors.
-
-
 def figures(result: Result) -> Figures:
-    """One figure, as `aucamp calibrate focus` draws it."""
+    """One figure of measurements, curve and errors, as `aucamp calibrate focus` draws it."""
     yield "calibration.png", figure(*result.shown)

@@ -1,7 +1,7 @@
 """Is a measurement as far from the truth as its covariance says?
 
 The normalised error squared e^T C^-1 e has the mean 3 where the covariance is honest, is larger where it boasts,
-smaller where it is timid. Robots of many worlds measure a ball (ball_measurements.py), with every cue.
+smaller where it is timid. Robots of many worlds measure a ball (`ball_measurements`), with every cue.
 """
 
 from __future__ import annotations
@@ -92,7 +92,6 @@ def summary(measurements: list[Row], cue: str, low_m: float, high_m: float) -> R
 
 
 # --- tables ---
-# Normalised errors by range and cue, and why there was no measurement.
 
 
 def table(result: Result) -> Group:

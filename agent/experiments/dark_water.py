@@ -1,6 +1,6 @@
-"""A ball in the dark, robots around it with lamps, and the focus sweeps of one of them as the twin draws them.
+"""A ball in the dark, robots around it with lamps, the focus sweeps of one of them, and how good the light models are.
 
-Pictures are the twin's, noise and exposure with them; clarity and its peak are the project's own. Drawn once for each
+Pictures are the twin's, with noise and exposure; clarity and its peak are the project's own. Drawn once for each
 lens position and developed again and again, sweeps differ in the sensor's noise alone.
 """
 
@@ -94,7 +94,7 @@ def lamps_of(stands: Mapping[str, Stand], busy: Collection[str] = ()) -> dict[st
 
 
 class DarkWater:
-    """One camera, that of world `seed`, in one water; whoever sweeps has it."""
+    """One camera, that of world `seed`, in one water; every robot that sweeps has this camera."""
 
     def __init__(self, water: str, seed: int) -> None:
         optics = WATERS[water]
@@ -175,9 +175,7 @@ class DarkWater:
         return Swept(spread * slope, len(good) / draws, float(np.median([peak.sigma for peak in good])) * slope)
 
 
-# --- model check ---
-# How good the models of light are: the kernel's and the twin's veil against fresh Monte Carlo, what a lamp costs to
-# draw, and whether the model's information says what sweeps then show.
+# --- how good the models of light are ---
 
 UNCUT_RAD = 1e-6
 GREEN = 1
@@ -186,7 +184,8 @@ LENGTHS = 4096  # of the transmission's table: 8 m
 
 
 def model_check(seed: int, waters: Sequence[str], sweeps: Sequence[Row]) -> Row:
-    """Geometries drawn from `seed`, not those that the tables were made at."""
+    """The kernel's and the twin's veil against fresh Monte Carlo, what a lamp costs to draw, and whether the model's
+    information says what sweeps then show. Geometries are drawn from `seed`, not those that the tables were made at."""
     rng = np.random.Generator(np.random.PCG64([seed, 2022]))
     first, orders, twin_first, twin_orders = [], [], [], []
     for water in waters:

@@ -1,8 +1,8 @@
 """Whole views in blocks, how far each block is, against the twin's own depth.
 
 The lens is calibrated first, against a flat wall at measured distances, with the sweep and the blocks that measure
-later. Then four views of the tank, each swept once; the three ways to take a peak share their sweeps and their
-blocks, so that nothing but the peak differs. Last a ball, alone, at three distances.
+later. Then each of four views of the tank is swept once; the three ways to take a peak share their sweeps and their
+blocks, so that nothing but the peak differs. Last comes a ball, alone, at three distances.
 """
 
 from __future__ import annotations
@@ -47,8 +47,7 @@ from agent.tools.focus_calibration import FocusRow, fit_focus
 from hw.camera.camera import Roi
 from hw.twin.optics.lens import PRESETS
 
-# --- one ball ---
-# One ball alone at three distances: its range from focus alone, from its apparent size alone, and from both.
+# --- one ball: its range from focus alone, from its apparent size alone, and from both ---
 
 BALL_M, BALL_PLACES = (0.3, 0.5, 1.0), 4  # camera to the ball's centre, and from how many sides each
 SPOT_PX, PORT_M = 2.5, 0.005  # blur that a colour sensor cannot tell from a point; lens to window
@@ -91,9 +90,7 @@ def rms(values: list[float]) -> float | None:
     return math.sqrt(sum(v * v for v in values) / len(values)) if values else None
 
 
-# --- flat wall ---
-# Calibrate a still camera of the twin against a flat wall, with the sweep and the blocks that measure depth later.
-#
+# --- calibration against a flat wall ---
 # A wall square to the camera is all at one distance, so every block of the picture's middle measures the same: their
 # median is one row of the calibration. Looking up and down at it tells the sag of the lens.
 
@@ -143,7 +140,7 @@ def wall_peak(camera: StillCamera, view: TankView, growth: float) -> tuple[float
     return (float(np.median(peaks.lens_position[good])), float(np.median(peaks.width[good]))) if good.any() else None
 
 
-# --- the run ---
+# --- the experiment ---
 
 SENSORS: tuple[Sensor, ...] = ("crop_1280", "imx519_640")  # the finer one first: the targets are for it
 METHODS: tuple[Method, ...] = ("matched", "parabola", "argmax")
@@ -338,11 +335,10 @@ def missed(cases: list[Row]) -> list[str]:
 
 
 # --- tables ---
-# Errors of depth by sensor, peak and range; a ball's range by cue; what enhancement would do; what was missed.
 
 
 def table(result: Result) -> Group:
-    """Two tables, and a line for each sensor and each target that was missed."""
+    """Errors of depth, a ball's range, and a line for each sensor and each target that was missed."""
     return Group(
         cases_table(result.cases),
         balls_table(result.balls),
@@ -397,7 +393,6 @@ def enhanced_line(one: Row) -> str:
 
 
 # --- figures ---
-# A figure for each view: what is seen, what the blocks say, what is true, and the difference.
 
 
 def figures(result: Result) -> Figures:
@@ -407,7 +402,8 @@ def figures(result: Result) -> Figures:
 
 
 def figure(measured: DepthMap, truth_m: Array) -> Figure:
-    """Distances in metres on one scale, errors in millimetres; hatched: no distance."""
+    """What is seen, what the blocks say, what is true, and the difference. Distances in metres on one scale, errors in
+    millimetres; hatched: no distance."""
     range_m = measured.range_on_parts()
     assert range_m is not None  # it was measured with a calibration
     height, width = measured.sharp.shape[:2]

@@ -1,7 +1,7 @@
 """Is the ball found, where it is, in every kind of water, and not where it is not?
 
-In each water so many places, spread over several worlds; from each the ball sharp and defocused and the same view
-without it; each picture as the camera gives it and enhanced. A frame counts when it shows 120 deg of the outline;
+In each water a number of places, spread over several worlds; from each place the ball sharp and defocused, and the same
+views without it; each picture as the camera gives it and enhanced. A frame counts when it shows 120 deg of the outline;
 found is what lies within a fifth of the radius of the truth, and everything else that is called a ball is false.
 """
 
@@ -27,9 +27,7 @@ from hw.camera.camera import Image
 from hw.twin.optics.raycast import Floats
 from hw.twin.scene import SceneWater, Solid, generator, load_scene
 
-# --- ball views ---
-# Views of a ball on the twin in every kind of water, with the outline that the ball really has in the picture.
-#
+# --- views of a ball, with its true outline in the picture ---
 # A world is one tank of water with one ball and two stones; of each view there is also the picture without the ball.
 # The truth is taken from the twin's own depth, with and without the ball: it knows of refraction, distortion, focus
 # breathing and of what stands in front, and of nothing that a detector does.
@@ -159,7 +157,7 @@ def _pairs(values: NDArray[T], axis: int) -> tuple[NDArray[T], NDArray[T]]:
     return (values[:-1], values[1:]) if axis == 0 else (values[:, :-1], values[:, 1:])
 
 
-# --- the run ---
+# --- the experiment ---
 
 Find = Callable[[Image, CameraFit], Ball | None]
 
@@ -279,12 +277,11 @@ def summary(group: list[Outcome]) -> Row:
     }
 
 
-# --- tables ---
-# Rates and errors by water, image and focus, over all ranges.
+# --- table ---
 
 
 def table(result: Result) -> Table:
-    """A line for each water, image and focus."""
+    """Rates and errors over all ranges: a line for each water, image and focus."""
     shown = Table(title=f"{result.sensor}, {result.places} places in each water, 0.25 to 1.5 m")
     for column in ("water", "image", "focus"):
         shown.add_column(column)

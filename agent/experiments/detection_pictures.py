@@ -1,4 +1,4 @@
-"""How good are the eyes in a user's own water? Every picture of a folder is searched for balls of every colour.
+"""How good is detection in a user's own water? Every picture of a folder is searched for balls of every colour.
 
 Found is what lies, in centre and in radius, within a fifth of the radius of a marked ball of the colour, and besides
 within the marking's own tolerance; everything else that is called a ball is false. Orange is what the rules of a known
@@ -29,12 +29,10 @@ from agent.process.command import Progress, step_by_step
 from hw.camera.camera import Image
 from hw.camera.files import picture_files, read_picture
 
-# --- marked pictures ---
-# A folder of a user's own pictures, and truth.csv, which says where in them the balls are.
-#
-# One row a ball: `file`, `colour`, `u_px`, `v_px`, `radius_px`, and if wanted `tol_px`, by how much centre and radius
-# may be off as they were marked. Other columns are for people. A picture that truth.csv does not name holds no ball,
-# and a folder without truth.csv holds none at all.
+# --- a folder of pictures and its truth.csv ---
+# truth.csv says where in the pictures the balls are. One row a ball: `file`, `colour`, `u_px`, `v_px`, `radius_px`, and
+# if wanted `tol_px`, by how much centre and radius may be off as they were marked. Other columns are for people. A
+# picture that truth.csv does not name holds no ball, and a folder without truth.csv holds none at all.
 
 NAME = "truth.csv"
 COLUMNS = ("file", "colour", "u_px", "v_px", "radius_px")
@@ -42,7 +40,7 @@ COLOURS: tuple[Colour, ...] = get_args(Colour)
 
 
 class MarkedBall(NamedTuple):
-    """A ball where somebody marked it. Pixels from the centre of the upper left pixel, u right, v down."""
+    """A ball as a person marked it. Pixels from the centre of the upper left pixel, u right, v down."""
 
     colour: Colour
     centre_px: tuple[float, float]
@@ -106,7 +104,7 @@ def _number(text: str, where: str) -> float:
     return value
 
 
-# --- picture run ---
+# --- the experiment ---
 
 NEAR_ENOUGH = 0.2  # of the radius, in centre and in radius, as on the twin
 HFOV_DEG = 10.0
@@ -199,7 +197,7 @@ def look(path: Path, image: Image, marked: Sequence[MarkedBall]) -> Seen:
 
 
 def pinhole(width_px: int, height_px: int) -> CameraFit:
-    """The camera of a bare picture, which nobody calibrated."""
+    """A camera for a bare picture without a calibration."""
     f_px = 0.5 * width_px / math.tan(math.radians(0.5 * HFOV_DEG))
     centre = 0.5 * (width_px - 1), 0.5 * (height_px - 1)
     return CameraFit(width_px=width_px, height_px=height_px, f_px=f_px, cx_px=centre[0], cy_px=centre[1])
@@ -288,8 +286,7 @@ def _found(ball: Ball | None) -> list[float] | None:
     return None if ball is None else [*_circle(ball), round(ball.radius_sigma_px, 2), round(ball.score, 3)]
 
 
-# --- picture tables ---
-# What was found in a folder of pictures, by colour and radius.
+# --- table ---
 
 
 def table(result: Result) -> Group:
@@ -324,7 +321,7 @@ def _percent(row: Row) -> str:
     return "-" if row["radius_error_median"] is None else f"{100 * row['radius_error_median']:.1f} %"
 
 
-# --- picture figures ---
+# --- figures ---
 # Pictures with circles: white where a marked ball was found, red where one was missed, yellow where there is none.
 
 SHEET_COLUMNS, ROWS = 4, 4  # of a sheet

@@ -1,4 +1,4 @@
-"""Any experiment, from what was asked to its folder: run under a bar, result.json and figures written, tables shown."""
+"""What all experiments share: result.json, figures, the run itself, draws on all processors, statistics, choices."""
 
 from __future__ import annotations
 
@@ -22,8 +22,7 @@ from agent.process.command import Failed, Progress, run_folder, with_bar
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-# --- result ---
-# What an experiment found, as it goes into result.json.
+# --- result.json ---
 
 NAME = "result.json"
 BESIDE = "shown"  # the one field that stays out of the file
@@ -53,14 +52,13 @@ def write_result(result: ExperimentResult, folder: Path) -> None:
     (folder / NAME).write_text(json.dumps(result.as_json(), indent=1) + "\n", encoding="utf-8")
 
 
-# --- figure files ---
-# The figures of an experiment, as they go into its folder.
+# --- figures ---
 
 Figures = Iterator[tuple[str, "Figure"]]  # file name and figure; the name's suffix says how it is written
 
 
 def write_figures(figures: Figures, folder: Path) -> None:
-    """Write them all; in SVG text stays text, and neither a date nor drawn ids make two runs differ."""
+    """Write them all into `folder`; in SVG text stays text, and neither a date nor drawn ids make two runs differ."""
     import matplotlib  # here, for the command line reads this file for its names alone
 
     for name, figure in figures:
@@ -68,14 +66,14 @@ def write_figures(figures: Figures, folder: Path) -> None:
             figure.savefig(folder / name, metadata={"Date": None} if name.endswith(".svg") else None)
 
 
-# --- perform ---
+# --- one run, from its settings to its folder ---
 
 S = TypeVar("S")
 R = TypeVar("R", bound=ExperimentResult)
 
 
 def no_figures(result: ExperimentResult) -> Figures:
-    """What an experiment has that draws nothing."""
+    """The figures of an experiment that draws none."""
     return iter(())
 
 
@@ -88,7 +86,7 @@ def perform(
     counted: str,
     figures: Callable[[R], Figures] = no_figures,
 ) -> R:
-    """Run it into `out` or runs/<UTC>; `counted` is what the bar counts.
+    """Run it into `out` or runs/<UTC>: progress bar, result.json, figures, tables. `counted` is what the bar counts.
 
     Raises ConfigError where the folder holds anything or cannot be written, whatever the run raises, and at its end
     Failed where the experiment misses a target.
@@ -104,8 +102,7 @@ def perform(
     return result
 
 
-# --- pieces ---
-# Many draws of many cases on all processors, with one progress bar.
+# --- many draws of many cases on all processors ---
 
 
 class Task(NamedTuple):
@@ -140,12 +137,14 @@ def all_draws(tasks: Sequence[Task], progress: Progress) -> list[list[Any]]:
     return [[draw for first in sorted(parts) for draw in parts[first]] for parts in found]
 
 
-# --- spread ---
-# How cases are summed up of which some never come to an end: a median of which half never do is no number.
+# --- statistics of cases, of which some never come to an end ---
 
 
 def spread(times_s: Sequence[float | None]) -> dict[str, float | int | None]:
-    """Median, 95th percentile (the smallest time that at least 95 % of the cases keep) and how many never did."""
+    """Median, 95th percentile (the smallest time that at least 95 % of the cases keep) and how many never did.
+
+    A median is None where half of the cases never did, a percentile likewise.
+    """
     ordered = np.sort([math.inf if t is None else t for t in times_s])
 
     def finite(value: float) -> float | None:
@@ -170,8 +169,8 @@ def number_or_never(value: float | None) -> str:
     return "never" if value is None else f"{value:.2f}"
 
 
-# --- choices ---
-# Names that an experiment can be asked for. The command line reads them before anything else: nothing heavy here.
+# --- choices of the command line ---
+# The names that an experiment can be asked for.
 
 Sensor = Literal["imx519_640", "binned_640", "crop_1280"]  # the presets of hw.twin.optics.lens
 LocalizationKind = Literal["accuracy", "liar"]

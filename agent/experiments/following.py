@@ -23,10 +23,9 @@ from agent.experiments.following_dive import FLEET, WATCH_S, Case, Draw, all_cas
 from agent.experiments.navigation.basin import TANK
 from agent.process.command import Progress
 
-# --- counts ---
-# From what happened to figures: who saw it, how well it was known, and how soon one that lost it had it again.
+# --- figures of a case: which robots saw it, how well it was known, how soon a robot that lost it had it again ---
 
-LOST_S = 0.4  # not seen for longer: lost, as the kernel has it (control/gaze.py)
+LOST_S = 0.4  # not seen for longer: lost, as the kernel has it (pursuit.LOST_NS)
 FRAME_S = 0.1
 ALONE_S = 0.4  # another saw it within that time before: it is not alone
 
@@ -111,8 +110,8 @@ def _again(draw: Draw, k: int, since: int, until_s: float, seen: bool) -> Again:
 
 
 def p95(again: Sequence[Again]) -> float | None:
-    """The smallest time that at least 95 % keep. One that was cut off by the end counts as never; None: nobody lost it,
-    or the figure is never."""
+    """The smallest time that at least 95 % keep. One that was cut off by the end counts as never; None: no robot lost
+    it, or the figure is never."""
     ordered = sorted(one.seconds if one.seen else math.inf for one in again)
     if not ordered:
         return None
@@ -120,7 +119,7 @@ def p95(again: Sequence[Again]) -> float | None:
 
 
 def least_m(draw: Draw) -> float:
-    """Of any two robots."""
+    """Least distance of any two robots, m."""
     at = draw.robots[:, :, :2]
     apart = np.linalg.norm(at[:, :, None] - at[:, None], axis=3)[:, *np.triu_indices(at.shape[1], 1)]
     return float(apart.min())
@@ -130,8 +129,7 @@ def _number(value: float) -> float | None:
     return value if math.isfinite(value) else None
 
 
-# --- targets ---
-# What three robots that share have to show on the twin, at each speed, and what lost words may cost them.
+# --- targets: of three robots that share, at each speed, and what lost words may cost them ---
 
 
 class Bar(NamedTuple):
@@ -165,8 +163,8 @@ COSTS = Bar("rms_mm", None, 1.10, "error with 30 % of words lost, times that wit
 
 
 def verdicts(cases: Sequence[Row]) -> list[Verdict]:
-    """Of three robots that share and lose no words at all bars, and of those that do at what it costs them. Nobody who
-    never loses it can be late in finding it again."""
+    """Of three robots that share: against all targets where they lose no words, against COSTS where they lose some. A
+    fleet that never loses the fish has no target for finding it again."""
     found = []
     for case in cases:
         if case["policy"] != "share" or case["robots"] != FLEET:
@@ -196,7 +194,7 @@ def _meets(bar: Bar, value: float | None) -> bool:
     return value is not None and (bar.least is None or value >= bar.least) and (bar.most is None or value <= bar.most)
 
 
-# --- the run ---
+# --- the experiment ---
 
 ENOUGH = 20  # seeds
 WORLDS = 1000  # of one --seed
@@ -213,7 +211,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Result(ExperimentResult, frozen=True, kw_only=True):
-    """A row for each case (counts.py)."""
+    """A row for each case (`row_of`)."""
 
     cases: list[Row]
     shown: Shown
@@ -246,7 +244,6 @@ def worlds(case: Case, world: int, first: int, last: int, watch_s: float = WATCH
 
 
 # --- tables ---
-# A line for each case, and three robots that share beside their bars.
 
 COLUMNS = (
     ("seen_by_one", "by one"),
@@ -308,11 +305,10 @@ def _figure(key: str, value: float | None) -> str:
 
 
 # --- figures ---
-# How soon who lost it has it again, and one fleet's dive: who saw it when, and how far off they believed it.
 
 
 def figures(result: Result) -> Figures:
-    """Each as SVG and PNG."""
+    """How soon a robot that lost it has it again, and one fleet's dive; each as SVG and PNG."""
     draws = result.shown.draws
     drawn = {"following_again": again(draws)}
     for case, of in draws.items():
@@ -343,7 +339,7 @@ def again(draws: dict[Case, list[Draw]]) -> Figure:
 
 
 def one_dive(case: Case, draw: Draw) -> Figure:
-    """The seed in which each saw least."""
+    """The seed in which each saw least: which robots saw it when, and how far off they believed it."""
     drawn = Figure(figsize=(9.0, 4.4), dpi=120, layout="constrained")
     above, time = drawn.subplots(1, 2)
     above.plot(*draw.target_m[draw.watched :, :2].T, color="black", linewidth=0.8, label="target")

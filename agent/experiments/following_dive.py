@@ -1,8 +1,8 @@
-"""One fleet and one target in one world: what truly was, and what each robot saw and believed, frame by frame.
+"""One fleet follows one target in one world: what truly was, and what each robot saw and believed, frame by frame.
 
-They find it by their own drawn frames, as bearings and, by the box of a fish that shows its side or its head, hardly
-any range. Robots hide it from those behind them, and so do weeds. One robot's camera is covered for some seconds: it
-sees neither target nor tags.
+Robots find the target in their own drawn frames, as bearings; the box of a fish that shows its side or its head gives
+hardly any range. Robots hide it from robots behind them, and so do weeds. One robot's camera is covered for some
+seconds: it sees neither target nor tags.
 """
 
 from __future__ import annotations
@@ -40,19 +40,21 @@ from hw.twin.dive import RobotPose
 from hw.twin.scene import Creature, generator
 
 # --- cases ---
-# Which fleets follow it, and how they talk.
 
 LENGTH_M = 0.15  # of the fish
 SPEEDS_M_S = (0.10, 0.15, 0.20)  # of the target
 LOSSES = (0.0, 0.3)  # share of all words
 SIZES = (1, 2, 3, 5)  # robots
 POLICIES: tuple[FollowingPolicy, ...] = get_args(FollowingPolicy)
-FLEET = 3  # of the silent and the moored, and the one that has to meet the bars
+FLEET = 3  # of the silent and the moored, and the size that has to meet the targets
 
 
 class Case(NamedTuple):
-    """share: all say what they see; silent: nobody says anything of the target, but where he is himself; moored: they
-    share, and stay where they are put."""
+    """Which fleet follows the target, and how its robots talk.
+
+    share: all say what they see; silent: no robot says anything of the target, each says where it is itself; moored:
+    they share, and stay where they are put.
+    """
 
     policy: FollowingPolicy
     robots: int
@@ -61,7 +63,7 @@ class Case(NamedTuple):
 
 
 def all_cases(only: FollowingPolicy | None = None, robots: int | None = None) -> tuple[Case, ...]:
-    """All, or those of one policy, or of a fleet of that size; words that nobody says cannot be lost."""
+    """All, or those of one policy, or of a fleet of that size; words that no robot says cannot be lost."""
     cases = [
         Case(policy, size, loss, speed_m_s)
         for policy in POLICIES
@@ -72,8 +74,7 @@ def all_cases(only: FollowingPolicy | None = None, robots: int | None = None) ->
     return tuple(case for case in cases if only in (None, case.policy) and robots in (None, case.robots))
 
 
-# --- basin ---
-# The fleet of a draw, where it begins, and the weeds that hide its target.
+# --- basin: the fleet, where it begins, and weeds that hide its target ---
 
 STANDOFF_M = 0.7
 STILL = Limits(speed_m_s=0.001, turn_deg_s=0.1)  # of what is moored
@@ -116,7 +117,7 @@ def starts(case: Case, seed: int) -> list[Pose]:
 
 
 def weeds(seed: int) -> tuple[Pillar, ...]:
-    """Upright from floor to surface. What is behind one is hidden; they hold nobody up."""
+    """Upright from floor to surface. What is behind one is hidden; they stop no robot."""
     rng, found = generator(seed, "weeds"), list[Pillar]()
     length_m, breadth_m, _ = basin.TANK.size_m
     while len(found) < WEEDS:
@@ -128,7 +129,6 @@ def weeds(seed: int) -> tuple[Pillar, ...]:
 
 # --- drawn fish ---
 # What one robot's camera would tell of a fish that swims: the box around what it shows of itself, never rendered.
-#
 # The body is the twin's, bent as it swims: seen from the side its box is three times as wide as head-on. So how far
 # it is by its size is wrong by half, and for as long as it keeps its side.
 
@@ -141,7 +141,7 @@ Array = NDArray[np.float64]
 
 
 class DrawnFish(DrawnTarget):
-    """A fish; path: of its middle. Nobody sweeps what swims."""
+    """A fish; path: of its middle. No robot sweeps a target that swims."""
 
     def __init__(self, fleet: Fleet, name: str, camera: CameraFit, path: BallPath) -> None:
         super().__init__(fleet, path)
@@ -206,7 +206,7 @@ STEPS_S = 20.0
 
 
 class Draw(NamedTuple):
-    """n frames, k robots. From the beginning; `watched` is the first frame that counts."""
+    """n frames of k robots, from the beginning; `watched` is the first frame that counts."""
 
     t_s: Array  # (n,)
     target_m: Array  # (n, 3)
@@ -224,7 +224,7 @@ class Draw(NamedTuple):
 
 
 def dive(case: Case, seed: int, watch_s: float = WATCH_S) -> Draw:
-    """Raises Failed where a firmware hangs."""
+    """Search for FIND_S, then follow for watch_s; at 10 frames a second. Raises Failed where a firmware hangs."""
     fleet, pillars = fleet_of(case, seed), weeds(seed)
     names, rng = list(fleet.robot), generator(seed, "follow")
     rng.uniform()  # drawn for where they begin

@@ -1,5 +1,5 @@
-"""What it is worth that robots light for each other: own lamp, all lamps, one set for all, the rule, and the optimum of
-the rule's own score; by sweeps that the twin draws in the dark.
+"""What robots gain that light for each other: own lamp, all lamps, one set for all, the rule, and the optimum of the
+rule's own score, compared by sweeps that the twin draws in the dark.
 
 A range is usable where at least half of the sweeps have a peak and their standard deviation is below 60 mm. That is the
 sensor's noise alone: what texture does to a peak (docs/experiments.md, depth) comes on top, and is the same for all.
@@ -22,8 +22,7 @@ from agent.experiments.dark_water import WATERS, DarkWater, Stand, Swept, lamp_p
 from agent.experiments.experiment import ExperimentResult, Figures, Row
 from agent.process.command import Progress, step_by_step
 
-# --- policies ---
-# Whose lamps burn while somebody sweeps: the rule, what it is compared with, and what lost messages make of it.
+# --- policies: whose lamps burn while a robot sweeps ---
 
 Names = frozenset[str]
 
@@ -85,7 +84,7 @@ def sets_for(policy: str, sea: DarkWater, stands: Mapping[str, Stand], score: Sc
 
 def after_loss(name: str, wanted: Names, loss: float, rng: np.random.Generator) -> Names:
     """The lamps that burn when messages get lost: a lender without its lease stays dark, and a sweeper that hears of
-    none takes its own lamp, whoever burns beside it."""
+    none takes its own lamp, whichever lamps burn beside it."""
     reached = {robot for robot in sorted(wanted - {name}) if rng.random() >= loss}
     answered = {robot for robot in sorted(reached) if rng.random() >= loss}
     own = {name} if name in wanted or (wanted != {name} and not answered) else set()
@@ -93,7 +92,6 @@ def after_loss(name: str, wanted: Names, loss: float, rng: np.random.Generator) 
 
 
 # --- targets ---
-# What the rule has to be worth, and which of it a run misses.
 
 ENOUGH = 4  # fleets of each size: with fewer there is no verdict
 AT_M, SIGMA_SHARE, RANGE_TIMES = 1.25, 0.25, 1.5  # harbour
@@ -102,7 +100,7 @@ FIRST_ORDER, ALL_ORDERS, MS_PER_LAMP, CORRELATION = 0.02, 0.30, 10.0, -0.85
 
 
 def missed(cases: Sequence[Row], model: Row, scenes: int) -> list[str]:
-    """In words, for tables and result.json."""
+    """The targets that a run misses, in words, for tables and result.json."""
     found: list[str] = []
     if scenes < ENOUGH:
         return found
@@ -148,7 +146,7 @@ def reach_m(ladder: dict[tuple[str, float], Row], policy: str) -> float:
     return max((d for (who, d), row in ladder.items() if who == policy and row["accepted"] >= 0.5), default=0.0)
 
 
-# --- the run ---
+# --- the experiment ---
 
 LADDER_M = (0.75, 1.0, 1.25, 1.5, 1.8, 2.1, 2.5)  # camera to ball, two neighbours' lamps 0.6 m from it
 NEIGHBOURS = (("r2", 0.6, 30.0), ("r3", 0.6, -45.0))
@@ -198,7 +196,7 @@ class Bench:
         return self._known[name, burning]
 
     def rows(self) -> list[Row]:
-        """Of all that was swept."""
+        """A row for each robot and set of lamps that was swept."""
         found = []
         for (name, burning), swept in self._known.items():
             expected = self.score.of(name, burning)
@@ -221,7 +219,7 @@ class Bench:
 
 
 def run(settings: Settings, progress: Progress) -> Result:
-    """Progress counts fleets."""
+    """Sweep on the ladder of distances and in random fleets, in each water; progress counts fleets."""
     ladder, fleets = len(LADDER_M), settings.scenes * len(SIZES)
     step = step_by_step(progress, len(settings.waters) * (ladder + fleets) + 1)
     cases: list[Row] = []
@@ -297,11 +295,10 @@ def _summary(swept: Sequence[Swept]) -> Row:
 
 
 # --- tables ---
-# The tables of the experiment: by distance, by fleets, and how good the models are.
 
 
 def table(result: Result) -> RenderableType:
-    """All of them."""
+    """By distance, by fleets, how good the models are, and which targets are missed."""
     verdict = "no verdict, too few fleets" if result.scenes < ENOUGH else "; ".join(result.missed) or "nothing"
     return Group(_ladder(result), _fleets(result), _model(result), f"targets missed: {verdict}")
 
@@ -353,11 +350,10 @@ def _model(result: Result) -> Table:
 
 
 # --- figures ---
-# Figures of the experiment: sigma over distance, and what fleets gain.
 
 
 def figures(result: Result) -> Figures:
-    """sigma and usable."""
+    """sigma.png: sigma over distance; usable.png: what fleets gain."""
     from matplotlib.figure import Figure
 
     ladder = [row for row in result.cases if row["distance_m"] is not None]

@@ -35,14 +35,12 @@ from hw.twin.physics.sensors import CORNERS, LATE_SAMPLES
 from hw.twin.physics.tank import TICK_NS, Plant
 from hw.twin.scene import generator
 
-# --- settling ---
-# When a robot is back at depth and level, from the twin's truth, one sample per control cycle of 10 ms.
-#
-# A time that does not exist is `None`.
+# --- settling: when a robot is back at depth and level ---
+# From the twin's truth, one sample per control cycle of 10 ms. A time that does not exist is None.
 
 SAMPLE_S = 0.01
 DEPTH_M, TILT_DEG = 0.01, 2.0  # as far off as the paper's "recovered" may be
-LIMIT_S = 6.0  # who takes longer never settled
+LIMIT_S = 6.0  # a robot that takes longer never settled
 STAY_S = 1.0  # watched beyond the limit: passing through the band is not settling
 
 Samples = NDArray[np.floating[Any]]
@@ -78,7 +76,7 @@ def is_level(track: Track) -> NDArray[np.bool_]:
 def for_good_s(good: NDArray[np.bool_]) -> float | None:
     """Seconds from the first sample until `good` stays true to the last; None beyond LIMIT_S.
 
-    ValueError where the samples do not reach to LIMIT_S + STAY_S: then nobody can know.
+    ValueError where the samples do not reach to LIMIT_S + STAY_S: then it cannot be known.
     """
     if len(good) * SAMPLE_S < LIMIT_S + STAY_S - SAMPLE_S / 2:
         raise ValueError(f"{len(good) * SAMPLE_S:.2f} s of samples, {LIMIT_S + STAY_S} s are needed")
@@ -112,9 +110,7 @@ def score_step(track: Track, start_m: float, goal_m: float) -> Row:
     }
 
 
-# --- manoeuvre ---
-# Up to five robots in the twin's tank go through one manoeuvre together, each with its own firmware process.
-#
+# --- manoeuvre: up to five robots in the twin's tank, each with its own firmware process ---
 # Virtual time in lock-step: water, sensors and firmware take turns, however fast the machine is. The host's half is
 # the driver's own (hw.stm32.protocol) on the robots' real ptys. The kernel hands a pty's bytes over in its own time,
 # mostly within the same tick: figures repeat to about 0.02 s, not to the bit.
@@ -231,7 +227,7 @@ def carry_out(dive: Dive, hosts: Sequence[Host], manoeuvre: Manoeuvre, surface_m
 
 
 def tank(names: Sequence[str], world: int) -> Fleet:
-    """The paper's tank with robots at PLACES_M, none of them neighbours: nobody talks to anybody here."""
+    """The paper's tank with robots at PLACES_M, none of them neighbours: no robot talks to another."""
     robots = {
         name: Robot(
             listen=f"tcp/127.0.0.1:{17401 + i}",
@@ -246,7 +242,7 @@ def tank(names: Sequence[str], world: int) -> Fleet:
     return Fleet(fleet="hover", target={"ball": Target(radius_m=0.07)}, robot=robots, twin=Twin(seed=world))
 
 
-# --- the run ---
+# --- the experiment ---
 
 LAWS = ("observer", "pid", "pi")
 DEFAULT_LAW = LAWS[0]
@@ -435,7 +431,6 @@ def missed(figures: Row) -> list[str]:
 
 
 # --- tables ---
-# Laws by lags, and the default law on robots that it does not know.
 
 COLUMNS = (
     "push s, median",
@@ -452,7 +447,7 @@ COLUMNS = (
 
 
 def table(result: Result) -> Group:
-    """Both tables, targets that are missed, and whose firmware it was."""
+    """Laws by lags, the default law on robots that it does not know, targets that are missed, and the firmware."""
     return Group(
         controllers_table(result),
         stability_table(result),
@@ -501,7 +496,6 @@ def cells(figures: Row) -> list[str]:
 
 
 # --- figures ---
-# The paper's figure of a push or a step: what the host saw above, what was true below, one column for each law.
 
 BEFORE_S = 1.0
 NEUTRAL_US = 1500
@@ -517,7 +511,8 @@ def figures(result: Result) -> Figures:
 
 
 def figure(responses: dict[str, Response], manoeuvre: Manoeuvre) -> Figure:
-    """Responses by law, one and the same robot."""
+    """The paper's figure of a push or a step, of one and the same robot: what the host saw above, what was true below,
+    a column for each law."""
     drawn = Figure(figsize=(4.2 * len(responses), 9.0), dpi=120, layout="constrained")
     panels = drawn.subplots(4, len(responses), sharex=True, sharey="row", squeeze=False)
     for column, (law, response) in enumerate(responses.items()):

@@ -146,14 +146,13 @@ def shifts(raw: list[DepthMap], after: list[DepthMap], slope: list[Array], step:
     }
 
 
-# --- tables ---
-# Shifts of the peak by water and way to enhance.
+# --- table ---
 
 COLUMNS = {"mean_steps": "+.2f", "median_steps": ".2f", "p95_steps": ".2f", "median_mm": ".1f", "p95_mm": ".1f"}
 
 
 def table(result: Result) -> Table:
-    """A line for each water and way."""
+    """Shifts of the peak: a line for each water and way to enhance."""
     shown = Table(title=f"{result.sensor}, {result.views} views: shift of the focus peak, enhanced against raw")
     for column in ("water", "way"):
         shown.add_column(column)

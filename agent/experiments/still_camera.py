@@ -1,6 +1,7 @@
-"""A camera of the twin held still under water: rendered directly, in virtual time, with nothing but lens and picture.
+"""A camera of the twin held still under water, and sweeps of its lens over views of the tank, with their truth.
 
-It offers what every camera offers (hw.camera.Camera), so what is measured on it is the code that dives.
+Frames are rendered directly, in virtual time, with nothing but lens and picture. The camera offers what every camera
+offers (hw.camera.Camera), so the code that measures on it is the code that dives.
 """
 
 from __future__ import annotations
@@ -101,8 +102,6 @@ class StillCamera:
 
 
 # --- sweeps ---
-# Sweeps of a still camera's lens over views of the tank and over its wall, with the truth for every block.
-#
 # Lens positions are equally spaced over the whole range, always from the lowest up: one direction, one hysteresis.
 
 BLOCK_PX = 50  # the paper's

@@ -1,11 +1,14 @@
-"""The veil of a lamp to all orders of scattering, by drawn paths: what the kernel's and the twin's tables are made from
-and held against.
+"""The veil of a lamp to all orders of scattering, by Monte Carlo: the kernel's and the twin's tables are made from it
+and tested against it.
 
-Backward from the camera, as light goes the same way to and fro. On each straight piece the lamp is looked at from one
-point within its beam, drawn so that its distance to the lamp does not show in the weight (equiangular: Kulla and
-Fajardo, Importance Sampling Techniques for Path Tracing in Participating Media, EGSR 2012): looked at from collisions
-alone, the few that lie beside the lamp make outliers that no number of paths averages away. For the
-same reason every other new direction is drawn about the lamp's.
+Paths are drawn backward from the camera: light goes the same way to and fro. On each straight piece the lamp is looked
+at from one point within its beam, drawn so that its distance to the lamp does not show in the weight (equiangular:
+Kulla and Fajardo, Importance Sampling Techniques for Path Tracing in Participating Media, EGSR 2012). Looked at from
+collisions alone, the few that lie beside the lamp make outliers that no number of paths averages away. For the same
+reason every other new direction is drawn about the lamp's.
+
+`python -m agent.experiments.veil_monte_carlo [kernel] [twin]` makes both tables, in minutes of one core. The same seeds
+make the same tables on one machine.
 """
 
 from __future__ import annotations
@@ -25,11 +28,9 @@ from agent.capabilities.light.model import single_veil
 from agent.core.config import Beam, WaterOptics
 from hw.compiled import compiled
 
-# --- scattering ---
-# Particles as the Monte Carlo draws them: Fournier-Forand from its own closed cumulative, apart from the kernel's and
-# the twin's, so that neither proves itself.
-#
-# Fournier and Forand 1994; the cumulative after Fournier and Jonasz, Proc. SPIE 3761 (1999).
+# --- phase function ---
+# Fournier-Forand (1994) from its closed cumulative (Fournier and Jonasz, Proc. SPIE 3761, 1999). It shares no code with
+# the kernel's and the twin's, so that neither is tested against itself.
 
 Array = NDArray[np.float64]
 
@@ -54,7 +55,7 @@ class Particles(NamedTuple):
 
 
 def phase(angle_rad: Array) -> Array:
-    """(n,) per steradian."""
+    """Phase function (n,) per steradian."""
     nu, k = (3 - SLOPE) / 2, 4 / (3 * (INDEX - 1) ** 2)
     u = np.sin(angle_rad / 2) ** 2
     d = k * u
@@ -65,7 +66,7 @@ def phase(angle_rad: Array) -> Array:
 
 
 def within(angle_rad: Array) -> Array:
-    """(n,) share that goes less than so far aside."""
+    """Share (n,) that is scattered by less than this angle."""
     nu, k = (3 - SLOPE) / 2, 4 / (3 * (INDEX - 1) ** 2)
     u = np.sin(angle_rad / 2) ** 2
     d = k * u
@@ -91,7 +92,7 @@ def particles(straight_rad: float = SMALLEST_RAD) -> Particles:
     return Particles(log_phase, np.cos(drawn), np.log(filled / share[-1]), np.cos(aimed), 1 - straight)
 
 
-# --- monte carlo ---
+# --- paths ---
 
 LAMP_M = 0.015  # its radius; no water is nearer to its middle
 ALONG, POINT, SURFACE = range(3)  # what is asked for: a camera's ray, one point of it, a surface that faces the lamp
@@ -342,22 +343,20 @@ def _batch(
     return found / paths
 
 
-# --- veil nodes ---
-# The nodes of both tables of scattered light, drawn by Monte Carlo: of the kernel's along a camera's axis, of the
-# twin's at a point of the water.
+# --- nodes of both tables: the kernel's along a camera's axis, the twin's at a point of the water ---
 
 Report = Callable[[int, int], None]
 
 HALF_RAD = math.radians(25.0)
 
-# of the kernel's table
+# Of the kernel's table:
 TAU = (0.1, 0.3, 0.6, 1.2, 2.0, 3.0, 4.5, 6.5)  # scattering lengths from camera to target
 SHARE = (0.35, 0.55, 0.70, 0.80, 0.90)  # b / (a + b)
 ANGLE_DEG = (3.0, 6.0, 12.0, 20.0, 30.0, 45.0, 60.0, 90.0, 120.0)  # at the target, from camera to lamp
 RATIO = (0.25, 0.5, 1.0, 1.5)  # lamp to target over camera to target
 DEPTH_M, RADIUS_M = 1.25, 0.07
 
-# of the twin's
+# Of the twin's table:
 POINT_TAU = (0.03, 0.1, 0.25, 0.5, 1.0, 1.75, 2.75, 4.0, 6.0)  # scattering lengths from the lamp
 OFF_DEG = (0.0, 15.0, 25.0, 35.0, 50.0, 80.0, 120.0, 180.0)  # off the lamp's axis
 WAY_DEG = (0.0, 20.0, 45.0, 75.0, 105.0, 140.0, 180.0)  # of the light that is asked for, off the ray from the lamp
@@ -452,8 +451,7 @@ def _asked(seen: Setting, tau: float, off_rad: float) -> Iterator[tuple[tuple[in
         yield (k, m), seen._replace(start_m=start_m, way=(-light[0], -light[1], -light[2]))
 
 
-# --- smooth ---
-# A table of drawn values made smooth: as near to them as their errors ask, and bent as little as that allows.
+# --- smoothing: as near to drawn values as their errors ask, and bent as little as that allows ---
 
 BEND = 0.15  # standard deviation of a second difference between neighbours, in the logarithm: what real ones have
 ROUNDS = 4000
@@ -508,10 +506,7 @@ def _bending(x: Array) -> Array:
     return total
 
 
-# --- make tables ---
-# `python -m agent.experiments.veil_monte_carlo [kernel] [twin]`: both tables of scattered light, from Monte Carlo.
-#
-# Minutes of one core. The same seeds make the same tables on one machine.
+# --- the tables as files ---
 
 ROOT = Path(__file__).parents[2]
 KERNEL = ROOT / "agent/capabilities/light/veil_table.py"

@@ -13,9 +13,8 @@ MACHINE = "on the wall: for what the machine does, or a person at it, and not th
 ENDS = "on the wall: how long an end may take"
 
 WAITS = {
-    "agent/process/command.py": ENDS,
     "agent/perception/vision.py": ENDS,
-    "agent/process/agent_process.py": RUN,
+    "agent/process/agent_process.py": (RUN, ENDS),  # the loop; the console's last lines
     "agent/ground/bridges/mavlink.py": MACHINE,
     "agent/ground/console.py": MACHINE,
     "agent/ground/doctor.py": MACHINE,

@@ -1,4 +1,8 @@
-"""One Monte-Carlo draw: a swarm goes through the samples of a dive, and its posteriors are scored."""
+"""The localization experiment's cases, the bounds to measure against, its Monte-Carlo draws, and its targets.
+
+In a draw a swarm goes through the samples of a dive, and its posteriors are scored. Lengths are metres, covariances
+m^2; every root mean square is over the three axes together.
+"""
 
 from __future__ import annotations
 
@@ -29,87 +33,13 @@ from agent.experiments.localization.lockstep import (
     symmetric,
 )
 
-# --- bounds ---
-# What the best possible fusion would reach, and what the paper's update must reach: the lines to measure against.
-#
-# Lengths are metres, covariances m^2; every root mean square is over the three axes together.
-
-
-def bound_m(world: MonteCarloWorld, samples: Array, honest: slice = slice(None)) -> float:
-    """The Cramer-Rao bound with `samples` of each robot, (N,), from those `honest`.
-
-    A robot's mean has covariance R / n + B, the systematic B undivided; unbiased fusion adds up their inverses.
-    """
-    counted = np.flatnonzero((samples > 0) & _mask(len(samples), honest))
-    mean = world.random_m2[counted] / samples[counted, None, None] + world.systematic_m2[counted]
-    return math.sqrt(np.trace(np.linalg.inv(np.linalg.inv(mean).sum(axis=0))))
-
-
-def central_m(world: MonteCarloWorld, dive: Dive, iterations: int, honest: slice = slice(None)) -> Array:
-    """The estimate (3,) of somebody who has every sample and every covariance: it meets the bound."""
-    sees = dive.sees[:iterations]
-    n = sees.sum(axis=0)
-    counted = np.flatnonzero((n > 0) & _mask(len(n), honest))
-    mean = (dive.sample_m[:iterations] * sees[:, :, None]).sum(axis=0)[counted] / n[counted, None]
-    weight = np.linalg.inv(world.random_m2[counted] / n[counted, None, None] + world.systematic_m2[counted])
-    return np.asarray(np.linalg.solve(weight.sum(axis=0), np.einsum("nij,nj->i", weight, mean)))
-
-
-def closed_form_m(W: Matrix, random_m2: Array, iterations: int) -> float:
-    """Error of x <- W x (1 - 1/(t+1)) + x̂/(t+1) when all see and nothing is lost, root mean square over robots.
-
-    With e the error, s = t e obeys s <- W s + noise, so that e after T iterations is sum_k W^k noise_(T-1-k) / T and
-    E|e_i|^2 = sum_k sum_j (W^k)_ij^2 tr R_j / T^2.
-    """
-    trace = np.trace(random_m2, axis1=1, axis2=2)
-    power, total = np.eye(len(W)), np.zeros(len(W))
-    for _ in range(iterations):
-        total += power**2 @ trace
-        power = W @ power
-    return math.sqrt(total.mean()) / iterations
-
-
-def central_track_m(world: MonteCarloWorld, dive: Dive, density: float, honest: slice = slice(None)) -> Array:
-    """Kalman filter of somebody who has every sample at once: place and velocity after each round of samples, (T, 6).
-
-    The line for a target that moves. Constant velocity, driven by white acceleration of spectral `density` in m^2/s^3;
-    samples come once a second, the first from all robots that count. Systematic errors are taken for random ones: a
-    track forgets.
-    """
-    weight = np.linalg.inv(world.random_m2 + world.systematic_m2)
-    F = np.block([[np.eye(3), np.eye(3)], [np.zeros((3, 3)), np.eye(3)]])
-    Q = density * np.kron([[1.0 / 3.0, 1.0 / 2.0], [1.0 / 2.0, 1.0]], np.eye(3))
-    x, P = np.zeros(6), np.diag([1.0] * 3 + [0.1**2] * 3)  # anywhere, at up to 10 cm/s
-    counted = _mask(len(world.camera_m), honest)
-    x[:3] = dive.sample_m[0, counted].mean(axis=0)
-    track = np.empty((len(dive.sees), 6))
-    for k, (samples, sees) in enumerate(zip(dive.sample_m, dive.sees, strict=True)):
-        if k > 0:
-            x, P = F @ x, F @ P @ F.T + Q
-        information = np.linalg.inv(P)
-        vector, used = information @ x, sees & counted
-        information[:3, :3] += weight[used].sum(axis=0)
-        vector[:3] += np.einsum("nij,nj->i", weight[used], samples[used])
-        P = np.linalg.inv(information)
-        x = P @ vector
-        track[k] = x
-    return track
-
-
-def _mask(robots: int, chosen: slice) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    mask = np.zeros(robots, dtype=bool)
-    mask[chosen] = True
-    return mask
-
-
-# --- cases ---
-# Which cases the localization experiment runs: one list, in the order of the table.
+# --- cases: one list, in the order of the table ---
 
 PROTOCOLS: tuple[Protocol, ...] = ("paper", "metropolis", "evidence")
 AT = (10, 50, 200)
 QUICK = 20  # times fewer draws
 MORE = 3  # times more draws with --full
-SMALL = 10  # robots above which a swarm is for patient people
+SMALL = 10  # robots; larger swarms take long
 
 
 class Case(NamedTuple):
@@ -220,6 +150,76 @@ def large(full: bool) -> Sequence[Case]:
     return found
 
 
+# --- bounds: what the best possible fusion would reach, and what the paper's update must reach ---
+
+
+def bound_m(world: MonteCarloWorld, samples: Array, honest: slice = slice(None)) -> float:
+    """The Cramer-Rao bound with `samples` of each robot, (N,), from those `honest`.
+
+    A robot's mean has covariance R / n + B, the systematic B undivided; unbiased fusion adds up their inverses.
+    """
+    counted = np.flatnonzero((samples > 0) & _mask(len(samples), honest))
+    mean = world.random_m2[counted] / samples[counted, None, None] + world.systematic_m2[counted]
+    return math.sqrt(np.trace(np.linalg.inv(np.linalg.inv(mean).sum(axis=0))))
+
+
+def central_m(world: MonteCarloWorld, dive: Dive, iterations: int, honest: slice = slice(None)) -> Array:
+    """The estimate (3,) of a fusion that has every sample and every covariance: it meets the bound."""
+    sees = dive.sees[:iterations]
+    n = sees.sum(axis=0)
+    counted = np.flatnonzero((n > 0) & _mask(len(n), honest))
+    mean = (dive.sample_m[:iterations] * sees[:, :, None]).sum(axis=0)[counted] / n[counted, None]
+    weight = np.linalg.inv(world.random_m2[counted] / n[counted, None, None] + world.systematic_m2[counted])
+    return np.asarray(np.linalg.solve(weight.sum(axis=0), np.einsum("nij,nj->i", weight, mean)))
+
+
+def closed_form_m(W: Matrix, random_m2: Array, iterations: int) -> float:
+    """Error of x <- W x (1 - 1/(t+1)) + x̂/(t+1) when all see and nothing is lost, root mean square over robots.
+
+    With e the error, s = t e obeys s <- W s + noise, so that e after T iterations is sum_k W^k noise_(T-1-k) / T and
+    E|e_i|^2 = sum_k sum_j (W^k)_ij^2 tr R_j / T^2.
+    """
+    trace = np.trace(random_m2, axis1=1, axis2=2)
+    power, total = np.eye(len(W)), np.zeros(len(W))
+    for _ in range(iterations):
+        total += power**2 @ trace
+        power = W @ power
+    return math.sqrt(total.mean()) / iterations
+
+
+def central_track_m(world: MonteCarloWorld, dive: Dive, density: float, honest: slice = slice(None)) -> Array:
+    """Kalman filter that has every sample at once: place and velocity after each round of samples, (T, 6).
+
+    The line for a target that moves. Constant velocity, driven by white acceleration of spectral `density` in m^2/s^3;
+    samples come once a second, the first from all robots that count. Systematic errors are taken for random ones: a
+    track forgets.
+    """
+    weight = np.linalg.inv(world.random_m2 + world.systematic_m2)
+    F = np.block([[np.eye(3), np.eye(3)], [np.zeros((3, 3)), np.eye(3)]])
+    Q = density * np.kron([[1.0 / 3.0, 1.0 / 2.0], [1.0 / 2.0, 1.0]], np.eye(3))
+    x, P = np.zeros(6), np.diag([1.0] * 3 + [0.1**2] * 3)  # anywhere, at up to 10 cm/s
+    counted = _mask(len(world.camera_m), honest)
+    x[:3] = dive.sample_m[0, counted].mean(axis=0)
+    track = np.empty((len(dive.sees), 6))
+    for k, (samples, sees) in enumerate(zip(dive.sample_m, dive.sees, strict=True)):
+        if k > 0:
+            x, P = F @ x, F @ P @ F.T + Q
+        information = np.linalg.inv(P)
+        vector, used = information @ x, sees & counted
+        information[:3, :3] += weight[used].sum(axis=0)
+        vector[:3] += np.einsum("nij,nj->i", weight[used], samples[used])
+        P = np.linalg.inv(information)
+        x = P @ vector
+        track[k] = x
+    return track
+
+
+def _mask(robots: int, chosen: slice) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    mask = np.zeros(robots, dtype=bool)
+    mask[chosen] = True
+    return mask
+
+
 # --- draws ---
 
 # One world for all: cases differ in what they name, not in where robots happen to be. Of these draws it is an ordinary
@@ -320,8 +320,7 @@ def mean_score(scores: Sequence[Score]) -> Score:
     return Score(columns[0], columns[1], columns[2] or 0.0, columns[3] or 0.0)
 
 
-# --- criteria ---
-# What the localization experiment must show: each target, the rows it is about, and whether they meet it.
+# --- targets ---
 
 PAPER_UNDER_LOSS = {10: 9.6, 50: 27.0, 200: 56.0}  # times the bound: the literal update on the hard graph, 30 % loss
 REPRODUCED = 0.10  # share by which those may be missed: the figures were 150 draws of another world
@@ -331,7 +330,8 @@ THEOREM = 0.05
 
 
 class Target(NamedTuple):
-    """`least` and `most` take the row: they may depend on t. None: no limit."""
+    """A figure, the rows it is about, and where it has to lie. `least` and `most` take the row: they may depend on t.
+    None: no limit."""
 
     name: str
     of: Callable[[Row], bool]

@@ -1,8 +1,8 @@
-"""A dive in which robots lie as well as anybody can: how far the honest are moved from where they would be.
+"""A dive in which robots tell the best lies that can be found: how far the honest are moved from where they would be.
 
 The same fleet dives twice, with the same samples and the same losses. In one dive the liars see nothing and only pass
 on what they hear; in the other they say, from the 20th iteration to the 40th, whatever moves the honest most, found
-anew in every iteration by somebody who knows every honest opinion (lie_search.py), and forge an entry of every other
+anew in every iteration by a search that knows every honest opinion (`best_lies`), and forge an entry of every other
 robot in every message. How far apart the two fleets believe the target to be is the liars' doing.
 """
 
@@ -23,7 +23,7 @@ from agent.core.estimation.fuse import AGREE, DOUBTED, HIGH, LOW, PAIRS, TEMPER
 from agent.core.linear_algebra import apply, upper
 from agent.core.messages import Entry, Estimate, Symmetric, Vector
 from agent.experiments.experiment import Row
-from agent.experiments.localization.draws import WORLD
+from agent.experiments.localization.draws import MORE, QUICK, WORLD
 from agent.experiments.localization.lockstep import (
     Array,
     Swarm,
@@ -35,13 +35,89 @@ from agent.experiments.localization.lockstep import (
     symmetric,
 )
 
-# --- search for the best lie ---
-# The best lie that can be told: a search over place and covariance by somebody who knows every honest opinion.
-#
+# --- cases: one list, in the order of the table ---
+
+Then = Literal["silent", "honest", "no key"]
+
+
+class LiarCase(NamedTuple):
+    """Robots 0 to `liars` - 1 lie for 20 iterations. `then`: what becomes of them after it."""
+
+    topology: Topology
+    robots: int
+    draws: int
+    liars: int = 1
+    protocol: Protocol = "evidence"
+    keys: bool = True  # `evidence` is signed by its origin
+    clip: bool = False
+    loss: float = 0.1
+    then: Then = "silent"
+    speed_mm_s: float = 0.0  # of the target
+    bumped_mm: float = 0.0  # no lie: robot 0 is wrong by this much for 40 iterations, then repaired
+
+    def named(self) -> Row:
+        """What a row of result.json says of its case."""
+        return self._asdict()
+
+
+def liar_cases(quick: bool = False, full: bool = False) -> list[LiarCase]:
+    """Fifteen minutes of processor time, most of it for ten robots."""
+    found = [*at_rest(), *without_keys(), *afterwards(), *moving(), *two(), *bumped(), *averaging()]
+    if quick:
+        return [
+            case._replace(draws=max(2, case.draws // QUICK))
+            for case in found
+            if not (case.robots > 5 and case.speed_mm_s)
+        ]
+    return [case._replace(draws=case.draws * MORE) if full else case for case in found]
+
+
+def at_rest() -> list[LiarCase]:
+    """All hear all; then graphs on which a lie has to be passed on."""
+    meshes = [LiarCase("full", robots, 100) for robots in (3, 5, 10)]
+    return [*meshes, LiarCase("geometric", 10, 20), LiarCase("line", 5, 40)]
+
+
+def without_keys() -> list[LiarCase]:
+    """A robot's own word counts where it is heard directly; where it is not, nothing stops a relay that changes it."""
+    return [LiarCase("full", 3, 40, keys=False), LiarCase("geometric", 10, 10, keys=False)]
+
+
+def afterwards() -> list[LiarCase]:
+    """It starts again and tells the truth, or its key is taken away."""
+    honest = [LiarCase("full", robots, draws, then="honest") for robots, draws in ((3, 40), (5, 40), (10, 20))]
+    return [*honest, *(LiarCase("full", robots, 20, then="no key") for robots in (3, 5))]
+
+
+def moving() -> list[LiarCase]:
+    """The target swims, and every lie binds the next."""
+    return [LiarCase("full", robots, draws, speed_mm_s=20.0) for robots, draws in ((3, 20), (5, 10), (10, 4))]
+
+
+def two() -> list[LiarCase]:
+    """Two of ten agree on their lies, and the fleet file reckons with two."""
+    return [LiarCase("full", 10, 10, liars=2)]
+
+
+def bumped() -> list[LiarCase]:
+    """One of three is knocked, for forty iterations no robot notices, then it is repaired and starts again."""
+    return [LiarCase("full", 3, 40, bumped_mm=mm) for mm in (30.0, 100.0, 300.0)]
+
+
+def averaging() -> list[LiarCase]:
+    """What the protocols that average beliefs have: a word from the far corner of the tank."""
+    swarms = (3, 5, 10)
+    found = [LiarCase("full", robots, 40, protocol="paper") for robots in swarms]
+    found += [
+        LiarCase("full", robots, 40, protocol="metropolis", clip=clip) for clip in (False, True) for robots in swarms
+    ]
+    return found
+
+
+# --- search: the best lie, over place and covariance, where every honest opinion is known ---
 # Lies that were chosen prove nothing: a rule that shrugs off 300 mm may be moved 50 mm by 15. So the liar looks for
-# what moves the others most, by the cross-entropy method (Rubinstein, 1999): draw candidates, keep the best, draw
-# again where they are. Anyone who thinks that a better lie exists can put a search of his own in the place of
-# `best_lies`.
+# what moves the others most, by the cross-entropy method (Rubinstein, 1999): draw candidates, keep the best, draw again
+# where they are. A better search can take the place of `best_lies`.
 
 Gain = Callable[[Array, Array], Array]  # lies (m, k, 3) and their covariances (m, k, 3, 3) -> metres moved (m,)
 
@@ -114,9 +190,7 @@ def spoken(parameters: Array, centre_m: Array, root_m: Array) -> tuple[Array, Ar
     return x_m, L @ np.swapaxes(L, -1, -2) + CLAIM_M**2 * np.eye(3)
 
 
-# --- many lies at once ---
-# What a robot would conclude from each of many lies: the kernel's rule (estimation/fuse.py) on columns of numbers.
-#
+# --- what a robot concludes from each of many lies: the kernel's rule (estimation.fuse) on columns of numbers ---
 # A search asks for a hundred thousand conclusions a dive. Here one call takes all candidates at once; a test holds
 # the outcome against the kernel's, to the nanometre.
 
@@ -146,7 +220,7 @@ def conclusions(honest_m: Array, honest_m2: Array, lies_m: Array, lies_m2: Array
 
 
 class Said(NamedTuple):
-    """m times what n robots say, and who of them entered, (m, n) of 0 and 1."""
+    """m times what n robots say, and which of them entered, (m, n) of 0 and 1."""
 
     x: Array  # (m, n, 3)
     P: Array  # (m, n, 3, 3)
@@ -156,7 +230,7 @@ class Said(NamedTuple):
 
     @property
     def total(self) -> Array:
-        """Information of those who entered, (m, 3, 3)."""
+        """Information of those that entered, (m, 3, 3)."""
         return np.asarray(np.einsum("mj,mjab->mab", self.inside, self.precision))
 
     @property
@@ -181,7 +255,7 @@ def group(x: Array, P: Array, lies: int) -> Array:
 
 
 def without(said: Said, ways: Sequence[tuple[int, ...]], all_m: Array) -> Array:
-    """The mean over the ways to leave some out, (m, 3); all_m: where everybody is heard."""
+    """The mean over the ways to leave some out, (m, 3); all_m: where all are heard."""
     x, P, precision, vector, inside = said
     total, sums, places, falls = said.total, said.sums, [], []
     for out in ways:
@@ -193,7 +267,7 @@ def without(said: Said, ways: Sequence[tuple[int, ...]], all_m: Array) -> Array:
             gone, lost = gone + inside[:, k, None, None] * precision[:, k], lost + inside[:, k, None] * vector[:, k]
             cov = inverse(precision[:, j] + precision[:, k])
             there = np.einsum("mab,mb->ma", cov, vector[:, j] + vector[:, k])
-        rest = inverse(total - gone + 1e-12 * np.eye(3))  # nobody may be left
+        rest = inverse(total - gone + 1e-12 * np.eye(3))  # none may be left
         place = np.einsum("mab,mb->ma", rest, sums - lost)
         member = np.all(inside[:, list(out)] > 0.0, axis=1)
         places.append(place)
@@ -224,96 +298,13 @@ def inverse(a: Array) -> Array:
     return np.asarray(flat.reshape(a.shape))
 
 
-# --- liar cases ---
-# Which lies the localization experiment tells: one list, in the order of the table.
-
-Then = Literal["silent", "honest", "no key"]
-
-QUICK = 20  # times fewer draws
-MORE = 3  # times more draws with --full
-
-
-class LiarCase(NamedTuple):
-    """Robots 0 to `liars` - 1 lie for 20 iterations. `then`: what becomes of them after it."""
-
-    topology: Topology
-    robots: int
-    draws: int
-    liars: int = 1
-    protocol: Protocol = "evidence"
-    keys: bool = True  # `evidence` is signed by its origin
-    clip: bool = False
-    loss: float = 0.1
-    then: Then = "silent"
-    speed_mm_s: float = 0.0  # of the target
-    bumped_mm: float = 0.0  # no lie: robot 0 is wrong by this much for 40 iterations, then repaired
-
-    def named(self) -> Row:
-        """What a row of result.json says of its case."""
-        return self._asdict()
-
-
-def liar_cases(quick: bool = False, full: bool = False) -> list[LiarCase]:
-    """Fifteen minutes of processor time, most of it for ten robots."""
-    found = [*at_rest(), *without_keys(), *afterwards(), *moving(), *two(), *bumped(), *averaging()]
-    if quick:
-        return [
-            case._replace(draws=max(2, case.draws // QUICK))
-            for case in found
-            if not (case.robots > 5 and case.speed_mm_s)
-        ]
-    return [case._replace(draws=case.draws * MORE) if full else case for case in found]
-
-
-def at_rest() -> list[LiarCase]:
-    """All hear all; then graphs on which a lie has to be passed on."""
-    meshes = [LiarCase("full", robots, 100) for robots in (3, 5, 10)]
-    return [*meshes, LiarCase("geometric", 10, 20), LiarCase("line", 5, 40)]
-
-
-def without_keys() -> list[LiarCase]:
-    """Each robot's own mouth counts where it is heard; where it is not, nothing stops a relay."""
-    return [LiarCase("full", 3, 40, keys=False), LiarCase("geometric", 10, 10, keys=False)]
-
-
-def afterwards() -> list[LiarCase]:
-    """It starts again and tells the truth, or its key is taken away."""
-    honest = [LiarCase("full", robots, draws, then="honest") for robots, draws in ((3, 40), (5, 40), (10, 20))]
-    return [*honest, *(LiarCase("full", robots, 20, then="no key") for robots in (3, 5))]
-
-
-def moving() -> list[LiarCase]:
-    """The target swims, and every lie binds the next."""
-    return [LiarCase("full", robots, draws, speed_mm_s=20.0) for robots, draws in ((3, 20), (5, 10), (10, 4))]
-
-
-def two() -> list[LiarCase]:
-    """Two of ten agree on their lies, and the fleet file reckons with two."""
-    return [LiarCase("full", 10, 10, liars=2)]
-
-
-def bumped() -> list[LiarCase]:
-    """One of three is knocked, for forty iterations nobody notices, then it is repaired and starts again."""
-    return [LiarCase("full", 3, 40, bumped_mm=mm) for mm in (30.0, 100.0, 300.0)]
-
-
-def averaging() -> list[LiarCase]:
-    """What the protocols that average beliefs have: a word from the far corner of the tank."""
-    swarms = (3, 5, 10)
-    found = [LiarCase("full", robots, 40, protocol="paper") for robots in swarms]
-    found += [
-        LiarCase("full", robots, 40, protocol="metropolis", clip=clip) for clip in (False, True) for robots in swarms
-    ]
-    return found
-
-
-# --- liar ---
+# --- the attack on a target at rest ---
 
 FIRST, LAST = 20, 40  # iterations of lies, the latter excluded
 AFTER = 10  # iterations that go on
 SLACK = 1.16  # what a lie may do beyond a bound that is exact to second order only: the largest of 800 lies of 1.16
 GROWTH = 1.1  # of the information that a liar claims, in an iteration: what is added must lie in the tank
-FORGED = 5000  # samples that a forged entry claims: more than anybody has, and no more than a robot may have
+FORGED = 5000  # samples that a forged entry claims: more than any robot has, and no more than one may have
 FAR_M = (0.3, 0.3, 0.07)  # where they all place the target in a fleet without keys
 
 
@@ -363,7 +354,7 @@ def attacked(case: LiarCase, seed: int, number: int) -> Outcome:
 
 
 def fleet_of(case: LiarCase, random: Random) -> Swarm:
-    """A fleet as the case wants it, nobody lying yet."""
+    """A fleet as the case wants it, without any lie yet."""
     signed = case.protocol == "evidence" and case.keys
     near = graph(case.topology, case.robots)
     return Swarm(case.protocol, near, case.loss, random, liars=case.liars, clip=case.clip, signed=signed)
@@ -400,8 +391,8 @@ def unchanged(i: int, estimate: Estimate) -> Estimate:
 def bound_m(x_m: Array, cov_m2: Array) -> float:
     """Beyond which no single lie moves honest opinions (n, 3) with covariances (n, 3, 3).
 
-    Up to LOW nobody is in doubt, and who stands d from the others moves them by at most d sigma. Beyond it a liar needs
-    an honest robot that stands as far out as itself, h_j, from whose absence s_j the others know the place.
+    Up to LOW no robot is in doubt, and one that stands d from the others moves them by at most d sigma. Beyond it a
+    liar needs an honest robot that stands as far out as itself, h_j, from whose absence s_j the others know the place.
     """
     found = [LOW * spread_m(np.linalg.inv(np.linalg.inv(cov_m2).sum(axis=0)))]
     for j in range(len(x_m)) if len(x_m) > 1 else ():

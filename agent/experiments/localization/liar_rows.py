@@ -1,4 +1,4 @@
-"""Draws of lies to rows of result.json, and what they must show."""
+"""Liars of a moving target, robots that are knocked, and the rows of result.json and targets of all lies."""
 
 from __future__ import annotations
 
@@ -34,12 +34,10 @@ from agent.experiments.localization.liar import (
 )
 from agent.experiments.localization.lockstep import Array, circle_m, draw_dive, draw_world, prior, symmetric
 
-# --- liar moving ---
-# The liar whose target moves: what liar.py does at rest, against tracks.
-#
-# A liar's opinion is the track through its samples, so what it says now binds what it can say next. It looks one
-# iteration ahead: the newest sample, or up to 16 of one moment that claim to know more, is the one that moves the
-# honest most, found against the kernel's own filters, vote and doubt.
+# --- the attack on a target that moves ---
+# What `liar.attacked` does at rest, against tracks. A liar's opinion is the track through its samples, so what it says
+# now binds what it can say next. It looks one iteration ahead: the newest sample, or up to 16 of one moment that claim
+# to know more, is the one that moves the honest most, found against the kernel's own filters, vote and doubt.
 
 COPIES = 16  # samples of one moment, at most
 EFFORT = 0.5  # of the search at rest: each candidate costs a filter's step for each robot
@@ -170,12 +168,11 @@ def square(a: Symmetric) -> Array:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-# --- liar bumped ---
-# A robot that is knocked, wrong for a while without knowing it, then repaired and started again: is it believed?
+# --- a robot that is knocked, wrong for a while without knowing it, then repaired: is it believed? ---
 
 
 def bumped(case: LiarCase, seed: int, number: int) -> Outcome:
-    """One draw, beside the same fleet in which nobody was knocked.
+    """One draw, beside the same fleet in which no robot was knocked.
 
     `share` is the weight of robot 0 in what the others conclude at the end, over its weight in that other fleet.
     """
@@ -205,7 +202,7 @@ def share(updates: list[Update]) -> float:
     return math.fsum(weights) / len(weights)
 
 
-# --- liar rows ---
+# --- rows and targets ---
 
 UNIT = 2  # draws in one piece of work
 
@@ -225,15 +222,15 @@ def attack_draws(case: LiarCase, seed: int, first: int, last: int) -> list[Outco
 
 
 def liar_cost(case: LiarCase) -> int:
-    """Roughly how long a draw takes, in the unit of run.cost."""
+    """Roughly how long a draw takes, in the unit of localization.cost."""
     if case.protocol != "evidence":
         return 100 * case.robots
     return case.robots * (1000 + 200 * case.robots) * (5 if case.speed_mm_s else 1) * case.liars
 
 
 def liar_row(case: LiarCase, found: Sequence[Outcome]) -> Row:
-    """The row of a case. Millimetres, of whom is moved most: `moved` when it is most, of all iterations of the lie,
-    `end` at the last of them, `after` so many iterations later."""
+    """The row of a case. Millimetres, of the robot that is moved most: `moved` when it is most, of all
+    iterations of the lie, `end` at the last of them, `after` so many iterations later."""
     moved, after = np.array([o.moved_m for o in found]), np.array([o.after_m for o in found])
     ends = np.array([o.end_m for o in found])
     bounds = [o.bound_m for o in found if o.bound_m is not None]

@@ -1,12 +1,12 @@
 """How close to the target do robots come together, and how close could they come?
 
-Monte-Carlo in virtual time with the estimators that the agents run (lockstep.py), on worlds and errors of world.py.
+Monte-Carlo in virtual time with the estimators that the agents run, on worlds and errors of lockstep.py.
 Each case names a protocol, a graph and what goes wrong; its rows give the error at some iterations beside the
 Cramer-Rao bound. The error is the root mean square of the 3-D distance to the target over draws and over the robots
 that have an estimate, those that are wrong on purpose left out.
 
 All protocols see the same draws, and so does a central fusion that has every sample; its error is known beforehand: it
-is the bound. What its mean square is off the bound is the luck of these draws, and is taken off everybody's (a control
+is the bound. What its mean square is off the bound is the luck of these draws, and is taken off all others' (a control
 variate with coefficient 1: unbiased, and tens of draws do the work of thousands for a protocol near the bound).
 
 The other kind of case has robots that lie, as well as they can (liar.py).
@@ -156,11 +156,10 @@ def closed_form_mm(case: Case, world: MonteCarloWorld, t: int) -> float | None:
 
 
 # --- tables ---
-# Errors beside their bounds, and targets beside what was measured.
 
 
 def table(result: Result) -> Group:
-    """A table for each kind of case that was run, and the verdicts."""
+    """Errors beside their bounds for each kind of case that was run, and the verdicts."""
     shown = [cases_table(result.cases)] if result.cases else []
     shown += [liars_table(result.liars)] if result.liars else []
     if result.verdicts is None:
@@ -209,7 +208,7 @@ def what_else(row: Row) -> str:
 
 
 def verdicts_table(verdicts: list[Row]) -> Table:
-    """Each target of targets.py beside what was measured."""
+    """Each target beside what was measured."""
     shown = Table(title="targets")
     for head in ("target", "case", "draws", "t", "asked", "measured", "met"):
         shown.add_column(head, justify="left" if head in ("target", "case") else "right")
@@ -227,8 +226,7 @@ def number(value: float | None, digits: int = 2) -> str:
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-# --- figures ---
-# The paper's figure: prior and posterior of each axis against the iteration, each robot's first view marked.
+# --- figures: prior and posterior of each axis against the iteration, each robot's first view marked ---
 
 ITERATIONS = 60
 AXES = "xyz"
@@ -236,7 +234,7 @@ LINES: tuple[Protocol, ...] = ("paper", "evidence")
 
 
 def figures(result: Result) -> Figures:
-    """One without loss and one with 30 %, each as SVG and PNG."""
+    """The paper's figure, once without loss and once with 30 %, each as SVG and PNG."""
     for loss in (0.0, 0.3):
         drawn = figure(result.seed, result.world, loss)
         for suffix in ("svg", "png"):

@@ -2,7 +2,8 @@
 
 All tick, then all speak; what is not lost arrives at once, and a posterior that is read after it makes use of it.
 Nothing is encoded: what the bytes do is the business of other tests, and this makes a thousand robots affordable.
-Signatures are perfect ones that cost nothing (perfect_keys.py), where there are any.
+Signatures, where there are any, are perfect ones that cost nothing (`PerfectKey`). First come the communication graphs
+and the worlds: where robots are, and what their cameras get wrong.
 """
 
 from __future__ import annotations
@@ -24,8 +25,7 @@ from agent.core.linear_algebra import upper
 from agent.core.messages import Estimate, Symmetric
 from agent.process.keys import Sign, signing
 
-# --- graphs ---
-# Who hears whom: the communication graphs of the experiments, as neighbours by number.
+# --- communication graphs, as neighbours by number ---
 
 Graph = tuple[tuple[int, ...], ...]  # neighbours of each robot, ascending, never itself
 Matrix = NDArray[np.float64]
@@ -105,9 +105,7 @@ def _neighbours(linked: NDArray[np.bool_]) -> Graph:
     return tuple(tuple(int(j) for j in np.flatnonzero(row)) for row in linked)
 
 
-# --- the world ---
-# Robots around a target and what their cameras get wrong: the worlds of the localization experiment.
-#
+# --- worlds: robots around a target, and what their cameras get wrong ---
 # Lengths are metres, world frame. Two kinds of error: `random` is new in every sample and averages out, `systematic`
 # is drawn once per robot (survey, gimbal zero, focus scale) and does not.
 
@@ -201,7 +199,7 @@ def draw_dive(
 
 
 def seen(views: Views, robots: int, iterations: int) -> NDArray[np.bool_]:
-    """Who has the target in view when, (T, N). `paper`: from 0, 16 and 28. `relay`: robots 0, 4 and 9 alone."""
+    """When each robot has the target in view, (T, N). `paper`: from 0, 16 and 28. `relay`: robots 0, 4 and 9 alone."""
     if views == "paper":
         return np.arange(iterations)[:, None] >= np.array(FIRST_VIEW)[:robots]
     if views == "relay":
@@ -222,11 +220,10 @@ def _root(covariance: Array) -> Array:
     return np.asarray(vector * np.sqrt(np.maximum(value, 0.0))[:, None, :])
 
 
-# --- perfect signatures ---
-# Signatures that nobody can forge and that cost nothing: hashes, in a world where nobody makes another's.
-#
-# What Ed25519 costs is measured elsewhere (python -m tests.bench signing); here a dive has 10,000 signatures to
-# check, and only what they are good for counts. Everything else is as in the agents: who signs, what, and who looks.
+# --- signatures that cost nothing and cannot be forged: hashes, in a world where no robot makes another's ---
+# What Ed25519 costs is measured elsewhere (python -m tests.bench signing); here a dive has 10,000 signatures to check,
+# and only what they are good for counts. Everything else is as in the agents: which robot signs, what, and which one
+# checks.
 
 
 class PerfectKey:
@@ -254,7 +251,7 @@ def verify(public: bytes, signature: bytes, signed: bytes) -> bool:
     return signature == blake2b(signed, key=public).digest()
 
 
-# --- lockstep ---
+# --- swarm ---
 
 VALIDITY = 1.5  # iterations: the last round counts, the one before it does not
 TARGET = "ball"

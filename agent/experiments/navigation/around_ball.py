@@ -1,6 +1,8 @@
-"""Three robots hold their places around a ball and say where it is: as well as all that they measured allows?
+"""Robots around a ball, robots whose ways cross, and robots that rarely see tags and are aided by a ball.
 
-The bound is the error of a filter that has every measurement of all of them (joint_bound.py).
+`ball`: three robots hold their places around a ball and say where it is. The bound is the error of `JointFilter`, which
+has every measurement of all of them. `crossing`: how near robots come to each other. `aided`: how much a ball that
+others have located tells a robot of where it is itself.
 """
 
 from __future__ import annotations
@@ -76,12 +78,10 @@ def _nees(e: Array, covariance: Array) -> float:
     return float(e @ np.linalg.solve(covariance, e)) / 3.0
 
 
-# --- separation ---
-# How near robots come to each other, centre to centre and by the truth, while all of them swim across the basin.
-#
-# Each starts where another one shall be: their ways cross. They are neighbours, all of all, and what they say
-# arrives. The crew arms them when all have found themselves: nobody keeps clear of a robot that cannot say where it
-# is.
+# --- crossing: how near robots come to each other, while all of them swim across the basin ---
+# Distances are centre to centre and by the truth. Each robot starts where another one shall be: their ways cross. They
+# are neighbours, all of all, and what they say arrives. The crew arms them when all have found themselves: no robot
+# keeps clear of one that cannot say where it is.
 
 CROSSING_ROBOTS, CROSSING_S = 10, 30.0
 FIND_S = 30.0  # in the hands of the crew, at most
@@ -93,7 +93,7 @@ def crossing(seed: int, robots: int = CROSSING_ROBOTS, seconds: float = CROSSING
     """Least distance (m) of any two, and the share of robots that are within 5 cm of their goals at the end."""
     rng = generator(seed, "crossing")
     starts = places(rng, robots)
-    goals = np.roll(starts, 1 + int(rng.integers(robots - 1)), axis=0)  # nobody stays where it is
+    goals = np.roll(starts, 1 + int(rng.integers(robots - 1)), axis=0)  # no robot stays where it is
     names = [f"r{i + 1}" for i in range(robots)]
     fleet = basin.fleet(
         {
@@ -139,9 +139,7 @@ def places(rng: np.random.Generator, robots: int) -> Array:
                 return np.array(found)
 
 
-# --- aid ---
-# Robots that rarely see tags, around a ball that others have located: how much that tells them of where they are.
-#
+# --- aid: robots that rarely see tags, around a ball that others have located ---
 # In the plane, with the kernel's filters, pilot and evidence; bodies, fixes and sightings are drawn, and everything
 # said is heard at once. Nothing else tells a robot how it moves: no points to follow. The joint filter, which knows
 # all that all measured, is what can be had; it has no gyro.
@@ -235,7 +233,7 @@ class Diver:
         return AidSample(t_ns, (ahead, left, up), *(upper(axes @ np.diag(s * s) @ axes.T) for s in (RANDOM_M, ALIKE_M)))
 
     def prior(self, seen: AidSample, now_ns: int) -> Prior | None:
-        """What it says of the ball: as the kernel puts its own pose into it (own_pose.py)."""
+        """What it says of the ball, with the errors of its own pose in it as the kernel puts them (`carried`)."""
         own = self.at(seen.t_ns)
         if not within(own, LOST_M, LOST_DEG):
             return None
@@ -311,7 +309,7 @@ def aided(seed: int, gyro: bool = False, seconds: float = AID_S) -> Row:
 
 
 def by_others(table: Table, name: str) -> Posterior | None:
-    """As StaticTarget has it."""
+    """What others than `name` make of it, as StaticTarget has it."""
     found = fuse([opinion for opinion in table.opinions() if opinion.origin != name])
     return None if found is None or found.verdict == "ambiguous" else Posterior(found.x_m, found.cov_m2)
 
@@ -330,7 +328,7 @@ def _turned(psi: float) -> Array:
 def _planar_nees(belief: Belief, truth: Array) -> float:
     e = np.array(belief.pose) - truth
     e[2] = wrap(float(e[2]))
-    return float(e @ np.linalg.solve(full(plus(belief.covariance, belief.stays)), e)) / 3.0
+    return _nees(e, full(plus(belief.covariance, belief.stays)))
 
 
 def _squares(sigmas: Array) -> Symmetric:

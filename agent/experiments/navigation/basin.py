@@ -1,4 +1,7 @@
-"""The basin of this experiment: 3 x 2 m, tags of 8 cm every 25 cm on the floor and in two rows on each wall."""
+"""The basin of the experiment on navigation, and the bodies that swim in it: the twin's or planar ones.
+
+The basin is 3 x 2 m, with tags of 8 cm every 25 cm on the floor and in two rows on each wall.
+"""
 
 from __future__ import annotations
 
@@ -93,8 +96,7 @@ def robot(
     )
 
 
-# --- planar body ---
-# A robot in the plane, in steps of 5 ms: the kernel's own form of the equations, with constants of its own.
+# --- a body in the plane: the kernel's own form of the equations, with constants of its own ---
 
 Array = NDArray[np.float64]
 
@@ -105,7 +107,7 @@ WITHIN = {"drag": 2.0, "turn": 2.0, "mass": 1.15}  # a drawn body's constants ar
 
 @dataclass
 class PlanarBody:
-    """A body; its constants are its own, and the kernel need not know them."""
+    """A body, in steps of STEP_S; its constants are its own, and the kernel need not know them."""
 
     at: Array  # x, y (m), psi (rad)
     hull: Hull
@@ -154,8 +156,7 @@ def drawn_hull(rng: np.random.Generator) -> Hull:
     )
 
 
-# --- bodies ---
-# Robots in the basin, the twin's or planar ones, as a loop around the kernel needs them: one shape for both.
+# --- all bodies of a fleet, as a loop around the kernel needs them ---
 
 START_NS = 10**18
 STEP_NS = 50_000_000  # of the agents
@@ -167,7 +168,7 @@ CAMERA = CameraFit(width_px=640, height_px=480, f_px=1184.0, cx_px=319.5, cy_px=
 
 
 class Bodies(Protocol):
-    """All robots of a fleet."""
+    """All robots of a fleet; the same interface for the twin's bodies and for planar ones."""
 
     @property
     def now_ns(self) -> int:

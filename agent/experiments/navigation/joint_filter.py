@@ -1,8 +1,8 @@
-"""The bound: one filter for somebody who hears every measurement at once, and keeps every correlation.
+"""The bound: one filter that has every measurement of all robots at once, and keeps every correlation.
 
 State: of each robot (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi) and what is learnt of its body (2), the pose that it had
 at its key frame, and what all its samples of the target have wrong alike (3); and the target, at rest (3). The motion
-and its noise are the kernel's own (body_model, pose_filter.Drift), so what separates robots from this filter is that
+and its noise are the kernel's own (pose_filter), so what separates robots from this filter is that
 they do not tell each other all.
 """
 
@@ -31,7 +31,7 @@ from agent.experiments.navigation.swimmers import Asked, Carriage, Measured, Sam
 Array = NDArray[np.float64]
 
 OWN, EACH = 11, 17  # of a robot: what moves; all of it, with its key pose at 11 and its bias at 14
-ANYWHERE_M2 = 100.0  # variance of a target that nobody has seen
+ANYWHERE_M2 = 100.0  # variance of a target that no robot has seen
 
 
 class JointFilter:
@@ -176,8 +176,7 @@ def full(symmetric: Symmetric) -> Array:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-# --- joint bound ---
-# The joint filter's estimate from the notes of a run: fixes, odometry and samples made anew, at its own estimates.
+# --- the filter over the notes of a run: fixes, odometry and samples made anew, at its own estimates ---
 
 
 class KeyFrame(NamedTuple):

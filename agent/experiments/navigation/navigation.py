@@ -39,8 +39,7 @@ from agent.experiments.navigation.manoeuvres import AIDED, PLACES, SUMMARIES, fi
 from agent.experiments.navigation.pursuit import SEARCH_S, WATCH_S, follow, search
 from agent.process.command import Progress
 
-# --- targets ---
-# What robots that swim must show on the twin: limits of the figures in result.json.
+# --- targets: limits of the figures in result.json ---
 
 
 class Bar(NamedTuple):
@@ -97,7 +96,7 @@ def met(bar: Bar, figures: Row) -> bool | None:
     return value is not None and (bar.least is None or value >= bar.least) and (bar.most is None or value <= bar.most)
 
 
-# --- the run ---
+# --- the experiment ---
 
 ENOUGH = 20  # seeds
 WORLDS = 1000  # of one --seed
@@ -114,7 +113,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
 
 class Result(ExperimentResult, frozen=True, kw_only=True):
-    """The figures of each case, empty where it was not run; which they are, and what they have to be, is in bars.py.
+    """The figures of each case, empty where it was not run; BARS says which they are, and what they have to be.
 
     shown: rows of each draw by name ("orbit", "orbit with gaps", ...), with their paths.
     """
@@ -133,7 +132,7 @@ class Result(ExperimentResult, frozen=True, kw_only=True):
 
     @property
     def missed(self) -> list[str] | None:
-        """Bars that are not met; None: too few seeds to tell."""
+        """Targets that are not met; None: too few seeds to tell."""
         if not self.shown.verdict:
             return None
         return [f"{bar.case} {bar.key}" for bar in BARS if met(bar, getattr(self, bar.case)) is False]
@@ -200,7 +199,6 @@ def worlds(draw: Callable[[int], Row | list[Row]], world: int, first: int, last:
 
 
 # --- tables ---
-# Figures beside their bars, fixes against blur and distance, and the spread over seeds.
 
 BLURS_PX = (0.0, 2.0, 6.0, math.inf)  # diameters of the disc
 DISTANCES_M = (0.0, 0.5, 0.8, math.inf)
@@ -220,7 +218,7 @@ SPREAD = (  # of draws: name, key, heading
 
 
 def table(result: Result) -> Group:
-    """All of them, and the verdict."""
+    """Figures beside their targets, fixes against blur and distance, the spread over seeds, and the verdict."""
     draws = result.shown.draws
     parts: list[Table | str] = [bars_table(result)]
     parts += [fixes_table(draws["fix"])] if draws.get("fix") else []
@@ -254,7 +252,7 @@ def fixes_table(rows: Sequence[Row]) -> Table:
     shown = Table(title=f"fixes of rendered frames: {len(seen)} of {len(rows)} show tags")
     for head in ("blur px", "distance m", "frames", "fixes", "median mm", "90 % mm", "90 % deg", "NEES/3"):
         shown.add_column(head, justify="right")
-    bands: list[tuple[float, float] | None] = [*pairwise(BLURS_PX), None]  # None: no edge was fitted, nobody knows
+    bands: list[tuple[float, float] | None] = [*pairwise(BLURS_PX), None]  # None: no edge was fitted
     for blurs, ways in ((b, d) for b in bands for d in pairwise(DISTANCES_M)):
         within = [r for r in seen if _blurred(r["blur_px"], blurs) and _in(r["distance_m"], ways)]
         good = [row for row in within if "nees" in row]
@@ -325,8 +323,7 @@ def _band(band: tuple[float, float]) -> str:
     return f"{band[0]:g} to {band[1]:g}" if math.isfinite(band[1]) else f"{band[0]:g} and more"
 
 
-# --- figures ---
-# Paths over the basin and errors over time: every seed a line.
+# --- figures: every seed a line ---
 
 SWUM = ("hold", "goto", "turn", "orbit", "orbit with gaps")
 

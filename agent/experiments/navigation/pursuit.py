@@ -1,5 +1,8 @@
-"""Three robots that are told where a target is which wanders: how well they keep their distance, their sides of it, and
-apart. How they follow by what they see themselves is an experiment of its own (agent/experiments/following)."""
+"""Three robots follow a wandering target of which they are told where it is; three or one search for a ball at rest.
+
+`follow`: how well they keep their distance to the target, their sides of it, and apart. How robots follow a target that
+they see themselves is an experiment of its own (agent.experiments.following). `search`: how soon the ball is measured.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +22,7 @@ from agent.experiments.navigation.basin import START_NS, TANK, PlanarBodies, twi
 from agent.experiments.navigation.swimmers import Pillar, Swimmers
 from hw.twin.scene import generator
 
-# --- a target that wanders ---
-# A target that wanders about the basin at one speed, as a fish does, and what a fleet would know of it.
-#
+# --- a target that wanders about the basin at one speed, as a fish does, and what a fleet would know of it ---
 # Its turning is an Ornstein-Uhlenbeck process; near a wall it turns towards the middle. It does not shy away from
 # robots.
 
@@ -183,10 +184,9 @@ def figures(arms: np.ndarray) -> Row:
     }
 
 
-# --- search ---
-# Robots that nobody has told where the ball lies look for it: three who divide the basin, or one alone.
-#
-# The ball lies where none of the three sees it from where it starts, looking ahead.
+# --- search: robots that do not know where the ball lies look for it ---
+# Three robots divide the basin, or one searches alone. The ball lies where none of the three sees it from where it
+# starts, looking ahead.
 
 SEARCH_ROBOTS, SEARCH_FIND_S, SEARCH_S = 3, 12.0, 180.0
 APART_M, CLEAR_M, BALL_M = 0.6, 0.35, 0.25  # of starts from each other and from walls; of the ball from walls

@@ -1,7 +1,8 @@
 """The kernel's agents around bodies and drawn cameras, in virtual time: what they ask for is done, what they say heard.
 
-An agent steps every 50 ms. Frames are searched at follow_hz; what one shows is known 0.1 s later. While a sweep moves
-the lens, a frame is one position of it, and shows no tags.
+Frames are drawn, never rendered: first a camera that sees tags and points, then a target before it, then all robots of
+a fleet, last notes of what they measured. An agent steps every 50 ms. Frames are searched at follow_hz; what one shows
+is known 0.1 s later. While a sweep moves the lens, a frame is one position of it, and shows no tags.
 """
 
 from __future__ import annotations
@@ -47,12 +48,10 @@ from hw.twin.dive import RobotPose
 from hw.twin.scene import generator
 from hw.twin.truth import true_tags
 
-# --- drawn camera ---
-# What a robot's camera would tell it of the basin: tags and points of floor and walls projected, never rendered.
-#
+# --- drawn camera: tags and points of floor and walls projected ---
 # The tags hang where the twin's survey errors put them (hw.twin.truth), the camera looks from where the twin's
-# gimbal carries it. Corners err as tag_noise.py has measured it on rendered frames; points that are followed, as
-# docs/landmarks.md has it. Tags without edges are left out. Nothing is hidden by anything, and no motion blurs
+# gimbal carries it. Corners err as `projection.tag_noise` says, measured on rendered frames; points that are followed,
+# as docs/landmarks.md says. Tags without edges are left out. Nothing is hidden by anything, and no motion blurs
 # anything.
 
 Array = NDArray[np.float64]
@@ -172,9 +171,7 @@ def points_of_planes(rng: np.random.Generator) -> Array:
     return np.concatenate(found)
 
 
-# --- drawn ball ---
-# What a robot's camera would tell of a ball: outline, and clarity at each lens position of a sweep, never rendered.
-#
+# --- drawn ball: its outline, and clarity at each lens position of a sweep ---
 # What it errs by is what the kernel is told that it errs by: the picture by its noise; the lens by its calibration's
 # covariance and noise, drawn once, and for each sweep; so that a measurement is as good as it says.
 
@@ -445,7 +442,7 @@ class Swimmers:
             self._deliver(name, outputs)
 
     def _deliver(self, src: str, outputs: Outputs) -> None:
-        """Whatever an agent says to somebody, of whatever kind, is there with the next step, as from its own key."""
+        """Each message of an agent, of any kind, arrives with the next step, as from its own key."""
         told = (outputs.near, outputs.claims, outputs.keyframes, outputs.light)
         for letter in (*outputs.says, *(each for said in told for each in said or ())):
             if not self.lost(letter):
@@ -481,8 +478,7 @@ class Swimmers:
         return False
 
 
-# --- notes of a run ---
-# What robots measured and did in a run, and what carried their cameras then: for a bound, never for an agent.
+# --- notes of a run, for a bound ---
 
 RESTS_NS = 500_000_000  # after its last order a servo has come to rest
 
@@ -513,7 +509,7 @@ class Measured(NamedTuple):
 
 
 class Notes:
-    """What all robots measured and did: for the bound, never for an agent."""
+    """What all robots measured and did, and what carried their cameras then: for the bound, never for an agent."""
 
     def __init__(self, swimmers: Swimmers) -> None:
         self.measured: list[Measured] = []

@@ -1,4 +1,5 @@
-"""How many keyframes it takes until a tank is known, by robots that share what they saw, and by robots that do not.
+"""How many keyframes it takes until a tank is known, by robots that share what they saw, and by robots that do not; and
+how much of a basin three robots that swim know after five minutes (`swum`).
 
 The kernel's agents in virtual time, moored around drawn things. A sweep takes three seconds; what its blocks measure is
 the truth of the drawn scene, with the noise that the blocks of 1280x960 pixels owe to their grid. What is said comes a
@@ -33,9 +34,7 @@ from agent.robot.step import Agent
 from hw.twin.camera_device import look as eye_of
 from hw.twin.scene import generator
 
-# --- drawn scene ---
-# A tank with things in it that a draw put there, and what a camera's blocks truly see of it.
-#
+# --- drawn scene: a tank with things in it, and what a camera's blocks truly see of it ---
 # Ellipsoids and boxes, turned any way, and a wall that stands aslant: what lies along the axes flatters a grid of
 # cells. It shares no code with the map that is judged by it.
 
@@ -144,7 +143,7 @@ def _turned(axis: Floats, angle: float) -> Floats:
     return np.asarray(np.eye(3) + np.sin(angle) * k + (1.0 - np.cos(angle)) * (k @ k))
 
 
-# --- coverage ---
+# --- coverage by moored robots ---
 
 SURVEY_START_NS, STEP_NS, SWEEP_NS = 1_700_000_000_000_000_000, 50_000_000, 3_000_000_000
 SIZE_M, SURFACE_M = (1.5, 1.2, 0.8), 0.5
@@ -158,7 +157,7 @@ KNOWN, MOST = 0.9, 250  # share of the cells that ends a run, and keyframes that
 MOST_S = 900.0
 VIEWS, OFTEN = 600, 4  # random views of all stations; a cell that so many show in part can be seen
 KINDS = {"shared": (True, 0.0), "alone": (False, 0.0), "loss30": (True, 0.3)}  # whether they share; what is lost
-RUNS, BAR = len(KINDS), 0.8  # of each seed; keyframes of who shares, of those of who does not
+RUNS, BAR = len(KINDS), 0.8  # of each seed; keyframes of robots that share over those of robots that do not, at most
 SETTLE_S = 20.0  # in which lost keyframes are sent again, before maps are compared
 
 
@@ -202,7 +201,7 @@ class World:
         self.calibration = Calibration(robot="r1", made="", source="", focus=FOCUS, camera=SURVEY_CAMERA)
         self.agents = {name: Agent(fleet, name, self.calibration, SURVEY_START_NS) for name in fleet.robot}
         self.now_ns = SURVEY_START_NS
-        self.all = CoverageMap(grid_of(fleet))  # of everybody's keyframes
+        self.all = CoverageMap(grid_of(fleet))  # of all robots' keyframes
         self.record: Callable[[str, int, bytes, bytes], None] = lambda *step: None  # for a black box
         self._post: dict[str, list[Heard]] = {name: [] for name in fleet.robot}
         self._sweeps: dict[str, tuple[SweepPlan, int, Outputs]] = {}
@@ -367,7 +366,7 @@ def coverage(seeds: Sequence[int], step: Callable[[], None] = lambda: None) -> d
 
 
 def missed_coverage(told: dict[str, Any]) -> list[str]:
-    """What is missed of that sharing saves a fifth of the keyframes, with 30 % of all words lost too, and that maps are
+    """Targets that are missed: sharing saves a fifth of the keyframes, also with 30 % of all words lost, and maps are
     equal in the end."""
     found = []
     for kind, equal in told["coverage_equal"].items():
@@ -379,9 +378,7 @@ def missed_coverage(told: dict[str, Any]) -> list[str]:
     return found
 
 
-# --- robots that swim ---
-# How much of a basin three robots that swim know after five minutes of a survey, in virtual time.
-#
+# --- coverage by three robots that swim, after five minutes of a survey in virtual time ---
 # Whole kernels, bodies in the plane that tethers pull, tags and points that are followed drawn as in the experiment
 # on navigation; things on the floor that a draw put there. What a sweep's blocks measure is the truth of the drawn
 # scene from where the camera truly was at its end, with noise; one block in OUTLIERS has a peak that is quite wrong,

@@ -198,7 +198,7 @@ def mean_psnr(mesh: Mesh, held: list[View]) -> float:
 
 
 def missed(cases: list[Row]) -> list[str]:
-    """Bars that a case with exact poses does not reach."""
+    """Targets that a case with exact poses does not reach."""
     found = []
     for one in cases:
         if one["poses"] != "exact":
@@ -218,11 +218,10 @@ def missed(cases: list[Row]) -> list[str]:
 
 
 # --- tables ---
-# A line for each tank, water and kind of poses; what was missed.
 
 
 def table(result: Result) -> Group:
-    """The surfaces, pictures and surveys that were asked for, and a line for each bar that was missed."""
+    """The surfaces, pictures and surveys that were asked for, and a line for each target that was missed."""
     scenes = (surfaces_table(result.cases), pictures_table(result.cases)) if result.cases else ()
     surveys = (coverage_table(result),) if result.coverage else ()
     swimmers = (swimmers_table(result.swimmers),) if result.swimmers else ()
@@ -295,7 +294,8 @@ def size_table(result: Result) -> Table:
 
 
 def surfaces_table(cases: list[Row]) -> Table:
-    """By focus alone, by the plane sweep alone, by both; PSNR of the surface's own colours."""
+    """A line for each tank, water and kind of poses: by focus alone, by the plane sweep alone, by both; PSNR of the
+    surface's own colours."""
     shown = Table(title="surfaces from 45 focus sweeps against the twin's truth")
     left = ("seed", "water", "poses", "surface")
     right = ("mean mm", "median mm", "objects mm", "within 10 mm", "F at 5 mm", "PSNR known, new dB", "CPU s")

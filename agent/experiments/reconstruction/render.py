@@ -1,7 +1,8 @@
-"""Sweeps of all stations in virtual time, and what a robot makes of them; truth from the painter's ray caster.
+"""One tank and its stations, sweeps of all stations in virtual time, and what a robot makes of them; truth from the
+painter's ray caster.
 
 Each robot's lens is calibrated on a wall first, with the sweep and the blocks that measure later. Cameras stand still
-and their poses are exact; `noisy.py` makes them worse.
+and their poses are exact; `noisy` makes them worse.
 """
 
 from __future__ import annotations
@@ -26,8 +27,7 @@ from hw.twin.optics.lens import Lens
 from hw.twin.optics.raycast import Optics, ray
 from hw.twin.scene import Scene, Solid, generator, load_scene
 
-# --- the world ---
-# The tank of one seed, what lies in it, and where cameras stand: five moored robots, and five other places.
+# --- the tank of one seed, and where cameras stand: five moored robots, and five other places ---
 
 BALL_M = 0.07
 STONES = 4
@@ -114,22 +114,24 @@ def held_back_new() -> list[Station]:
     ]
 
 
-# --- intrinsics ---
-# The camera model that fits a twin's lens and flat port best: exact but for what the model cannot express.
+# --- the camera model that fits a twin's lens and flat port best ---
 
 NEAR_M, FAR_M = 0.25, 1.3
 ROUNDS = 6  # of Gauss-Newton, from the data sheet's camera: each is linear but for the bend
 
 
 def camera_of(lens: Lens, lens_position: float) -> CameraFit:
-    """Least squares over pixels and ranges, with the lens at rest at that position."""
+    """Least squares over pixels and ranges, with the lens at rest at that position: exact but for what the model cannot
+    express."""
     pixels, points = _rays(lens, lens_position)
     f = WATER_INDEX * lens.at_position_m(lens_position) / lens.pixel_m
     found = np.array([f, *lens.centre_px, 0.39, 0.0])
     step = np.array([1e-3 * f, 1e-2, 1e-2, 1e-4, 1e-5])
     for _ in range(ROUNDS):
-        rest = (pixels - _seen(found, lens, points)).ravel()
-        columns = [(_seen(found + d, lens, points) - _seen(found - d, lens, points)).ravel() for d in np.diag(step)]
+        rest = (pixels - _projected(found, lens, points)).ravel()
+        columns = [
+            (_projected(found + d, lens, points) - _projected(found - d, lens, points)).ravel() for d in np.diag(step)
+        ]
         jacobian = np.stack(columns, axis=1) / (2.0 * step)
         found = found + np.linalg.lstsq(jacobian, rest, rcond=None)[0]
     f_px, cx, cy, bend, ahead = found.tolist()
@@ -161,12 +163,12 @@ def _rays(lens: Lens, lens_position: float) -> tuple[Floats, Floats]:
     return np.array(pixels, float), np.array(points)
 
 
-def _seen(numbers: Floats, lens: Lens, points: Floats) -> Floats:
+def _projected(numbers: Floats, lens: Lens, points: Floats) -> Floats:
     f, cx, cy, bend, ahead = numbers.tolist()
     return project(Camera(f, cx, cy, bend, ahead, lens.width, lens.height), points)
 
 
-# --- render ---
+# --- sweeps of all stations ---
 
 EXACT = diagonal_prior(1e-5, 1e-5)
 TRUTH_STEP = 4  # of the full picture's pixels one in so many, across and down, has its true depth kept
@@ -262,8 +264,7 @@ def truth_points(rendered: Rendered) -> Sequence[NDArray[np.float64]]:
     return points
 
 
-# --- noisy poses ---
-# Poses as wrong as a survey leaves them: an error that all views of a robot share, and a small one of each view.
+# --- poses as wrong as a survey leaves them: an error that all views of a robot share, and one of each view ---
 
 SHARED = (3e-3, math.radians(0.5))  # of a robot: m and rad, standard deviations along and about each axis
 OWN = (0.7e-3, math.radians(0.08))  # of a view besides

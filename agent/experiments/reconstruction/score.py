@@ -1,6 +1,7 @@
-"""How true a surface is: each of its points against the twin's solids and walls, each place that was seen against it.
+"""How true a surface is: each of its points against the twin's solids and walls, each place that was seen against it;
+and how good image models and refined poses are.
 
-Truth of the first is the scene itself, of the second what the painter's ray caster sees from the trained stations.
+Truth of points is the scene itself, truth of places what the painter's ray caster sees from the trained stations.
 """
 
 from __future__ import annotations
@@ -146,10 +147,8 @@ def _nearest(
         found[n] = best**0.5
 
 
-# --- pictures ---
-# What an image model is worth on photographs held back, and poses before and after they were refined.
-#
-# Poses that were refined are so but for a motion of everything: held-back views are carried into the model's world,
+# --- image models on photographs held back, and poses before and after they were refined ---
+# Refined poses are known but for one motion of everything: held-back views are carried into the model's world,
 # and points of its surface back into the true one, before anything is compared.
 
 LEAST_DB = (30.0, 27.0)  # at known and at new stations, exact poses
@@ -201,7 +200,7 @@ def inverse(motion: Motion) -> Motion:
 
 
 def missed_pictures(cases: Sequence[Row]) -> list[str]:
-    """Bars of image models and of refined poses that are not reached; cases without a model are passed over."""
+    """Targets of image models and of refined poses that are not reached; cases without a model are passed over."""
     pictured = [one for one in cases if "image" in one]
     exact = {(one["seed"], one["water"]): one for one in pictured if one["poses"] == "exact"}
     found = []

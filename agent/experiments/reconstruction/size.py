@@ -1,4 +1,4 @@
-"""Rows of growing surveys of one basin, what time grows as, and which bars are missed."""
+"""Growing surveys of one basin: time and memory of their reconstruction, what time grows as, and targets missed."""
 
 from __future__ import annotations
 
@@ -51,9 +51,7 @@ from hw.twin.optics.painter import Painter
 from hw.twin.optics.raycast import Eye
 from hw.twin.scene import Scene, Solid, generator, load_scene
 
-# --- basin ---
-# A basin of 10 x 6 m with stones and other things on its floor, and where seven robots that survey it take keyframes.
-#
+# --- a basin of 10 x 6 m with things on its floor, and where seven robots take keyframes ---
 # Each robot has a lane along the basin. It stops every few decimetres and looks down to one side, ahead, to the other
 # side. All set out at one end, so that the first keyframes know one part of the basin as well as all know all of it.
 
@@ -116,9 +114,7 @@ def stops(seed: int, count: int = MOST) -> list[Stop]:
     return found[:count]
 
 
-# --- drawn ---
-# Keyframes of the basin: pictures by the twin's painter, depths drawn about what its ray caster says.
-#
+# --- keyframes: pictures by the twin's painter, depths drawn about what its ray caster says ---
 # Nothing is swept. A block's depth is the mean of what it truly sees, by 1/z, with the error of the lens position
 # that focus would say it has, and goes through the calibration and `focus_map` as a sweep's does. A block has none
 # that sees two depths or what is out of reach; of the others some have no texture.
@@ -209,8 +205,7 @@ def coarser(lens: Lens, times: int) -> Lens:
     )
 
 
-# --- measured ---
-# Time and memory of one reconstruction, in a process of its own: what it needed at most is asked of the system.
+# --- time and memory of one reconstruction, in a process of its own ---
 
 SAMPLED = 50_000  # vertices that are held against the truth: one in so many
 MB = 1e6
@@ -331,10 +326,10 @@ def _peak_mb() -> float:
 
 
 def _silent(done: int, total: int, what: str = "") -> None:
-    """Nobody looks."""
+    """Progress that is not shown."""
 
 
-# --- size ---
+# --- the experiment ---
 
 COUNTS = (125, 250, MOST)
 MOST_MB = 4000.0
