@@ -1,6 +1,6 @@
 """What goes onto a board: `python -m hw.board_files FOLDER` fills the folder, `make firmware` fills build/firmware.
 
-main.py and boot.py stay text, for MicroPython looks for them by these names; whatever they import is compiled: what the
+main.py and boot.py stay text, for MicroPython looks for them by these names. All that they import is compiled: what the
 board compiles for itself leaves its memory in pieces.
 """
 

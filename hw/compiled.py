@@ -1,15 +1,15 @@
 """Functions compiled by numba at their first call and kept on disk, for processes that start together.
 
 Numba numbers what it keeps of a function, a file for each signature, in an index without a lock. Two processes that
-compile two signatures at once take the same number, and from then on each process, until somebody empties the cache,
-runs code that was made for arrays of one kind on arrays of another: a TypeError where the items differ, reads beyond
+compile two signatures at once take the same number, and from then on each process, until the cache is emptied, runs
+code that was made for arrays of one kind on arrays of another: a TypeError where the items differ, reads beyond
 the array's end where only the layout does (numba issue 4807). Agents, twin and benches start at once, so here an index
 and its files are read and written under a lock.
 
-Nor does numba mind that they all compile the same. Here whoever comes first does, and the others wait for the file.
+Nor does numba mind that they all compile the same. Here the first process compiles, and the others wait for the file.
 
-An index also names the classes of the arguments. One that has another name by now cannot be read, and numba, which
-would throw the index away as older than the source, fails before it has looked.
+An index also names the classes of the arguments. Where a class has another name by now, the index cannot be read:
+numba would throw it away as older than the source, but fails before it has looked.
 """
 
 from __future__ import annotations
@@ -27,11 +27,11 @@ from numba.core.compiler_lock import global_compiler_lock
 F = TypeVar("F", bound=Callable[..., Any])
 
 LOCK = "numba.lock"  # in the folder of the cache, as a rule __pycache__
-TURN = ".turn"  # behind the function's own name there: the lock of who compiles it
+TURN = ".turn"  # behind the function's own name there: the lock of the process that compiles it
 
 
 class LockedCache(FunctionCache):
-    """Numba's cache of one function; who writes is alone in the folder that it is in."""
+    """Numba's cache of one function; a process that writes is alone in the cache's folder."""
 
     def __init__(self, function: Callable[..., Any]) -> None:
         super().__init__(function)  # type: ignore[no-untyped-call]
@@ -41,14 +41,14 @@ class LockedCache(FunctionCache):
         found = self._load(sig, target_context)
         if found is None and self._turn is not None:
             self._turn.enter_context(self._locked(fcntl.LOCK_EX, f"{self._impl.filename_base}{TURN}"))
-            found = self._load(sig, target_context)  # somebody may have compiled it meanwhile
+            found = self._load(sig, target_context)  # another process may have compiled it meanwhile
         return found
 
     def _load(self, sig: Any, target_context: Any) -> Any:
         try:
             with self._locked(fcntl.LOCK_SH):
                 return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
-        except (AttributeError, ImportError):  # of sources in which a class was called, or lay, otherwise
+        except (AttributeError, ImportError):  # a class has another name or module by now
             with self._locked(fcntl.LOCK_EX):
                 self.flush()  # type: ignore[no-untyped-call]
             return None

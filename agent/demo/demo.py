@@ -59,8 +59,7 @@ from agent.process.keys import VARIABLE
 from agent.process.launch import Crew, crew, free_ports, is_free, wait_for
 from agent.process.transport import Observer, fleet_clock
 from agent.robot.fleet_reader import load_fleet
-from hw.twin.scene import scene_of
-from hw.twin.truth import target_creatures, target_solids
+from hw.twin.scene import scene_of, target_creatures, target_solids
 from hw.twin.twin_folder import twin_dir
 
 # --- fleet ---

@@ -512,14 +512,17 @@ ROOT = Path(__file__).parents[2]
 KERNEL = ROOT / "agent/capabilities/light/veil_table.py"
 TWIN = ROOT / "hw/twin/optics/scattered.txt"
 
-KERNEL_HEAD = '''"""Veil of all orders of scattering over that of one, as logarithms; made by `python -m agent.experiments.veil_monte_carlo kernel`.
+KERNEL_HEAD = '''"""Veil of all orders of scattering over that of one, as logarithms.
+
+Made by `python -m agent.experiments.veil_monte_carlo kernel`.
 
 Beam of 25 degrees, a black ball of 70 mm at 1.25 m. Monte Carlo to a standard error of 5 %, then smoothed.
 Order of the axes: TAU, SCATTERING_SHARE, ANGLE_DEG, RATIO; a line holds the ratios of three angles.
 """
 
 '''
-TWIN_HEAD = """# Light that the water around a lamp scatters: made by `python -m agent.experiments.veil_monte_carlo twin`.
+TWIN_HEAD = """# Light that the water around a lamp scatters.
+# Made by `python -m agent.experiments.veil_monte_carlo twin`.
 # Five axes: b / (a + b), scattering lengths from the lamp, degrees off its axis, degrees of the light's way off the ray
 # from it, degrees of that about the ray. Then logarithms: (5 axes) of light of two and more orders in all directions;
 # (first 3 axes) of scattered light on a surface that faces the lamp.

@@ -36,8 +36,7 @@ from agent.process.certificates import (
 from agent.process.keys import keys_folder, private_file, read_keys, robot_keys
 from agent.process.launch import addresses_of, bind_error
 from hw.camera.camera import CameraError
-from hw.twin.scene import scene_of
-from hw.twin.truth import target_solids
+from hw.twin.scene import scene_of, target_solids
 from replay.files.log import Limits
 
 # --- findings ---

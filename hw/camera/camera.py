@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 Image = NDArray[np.uint8]  # (height, width, 3), blue green red
 
-# Who measures without hurry (a bench, a depth map) would lose a whole sweep to one late frame, and on a machine with a
-# load above ten, frames of the twin came more than 1 s late. An agent, whose robot drifts, sets a limit of its own.
+# A bench or a depth map has time, and would lose a whole sweep to one late frame: on a machine with a load above ten,
+# frames of the twin come more than 1 s late. An agent, whose robot drifts, sets a limit of its own.
 PATIENCE_S = 5.0
 
 GRID = 8  # pixels; regions start and end on multiples, as JPEG cells and colour mosaics of real sensors demand
@@ -26,7 +26,7 @@ class Roi(NamedTuple):
 
 
 class FocusRange(NamedTuple):
-    """Lens positions as the driver numbers them; which end is near is for calibration to find out."""
+    """Lens positions as the driver numbers them; calibration finds out which end is near."""
 
     lowest: int
     highest: int

@@ -1,4 +1,4 @@
-"""stack: and video: - recorded pictures as cameras.
+"""Recorded pictures as cameras, stack: and video:, and the picture files that a folder holds.
 
 A stack is a directory of photographs of one still scene at different focus positions, and a `positions.csv` with
 the columns file and focus_position (any unit; rows in any order). Setting the focus chooses the photograph.
@@ -21,7 +21,6 @@ from agent.core.config import ConfigError
 from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
 
 # --- picture files ---
-# Picture files: which there are in a folder, and what they hold as 8 bits, whatever they were written with.
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 
@@ -62,11 +61,11 @@ def read_picture(path: Path, grey: bool = False, stretch: bool = False) -> NDArr
     return (np.clip(raw, 0, white).astype(np.float64) * (255.0 / white)).round().astype(np.uint8)
 
 
-# --- files ---
+# --- stack of photographs ---
 
 POSITIONS = "positions.csv"
 COLUMNS = ("file", "focus_position")
-MIN_PHOTOGRAPHS = 3  # a peak has a top and two flanks
+MIN_PHOTOGRAPHS = 3  # a focus peak has a top and two flanks
 
 
 class Photograph(NamedTuple):
@@ -128,50 +127,6 @@ class StackCamera:
         return image
 
 
-def open_video(path: Path) -> VideoCamera:
-    """Raises CameraError if OpenCV cannot play the file."""
-    if not path.is_file():
-        raise CameraError(f"{path}: no such file; give the path of a video")
-    capture = cv2.VideoCapture(str(path))
-    if not capture.isOpened():
-        raise CameraError(f"{path}: not a video that OpenCV can play; convert it to H.264 in MP4")
-    return VideoCamera(capture, path)
-
-
-class VideoCamera:
-    """Each read is the next frame of the file, stamped with the file's own time, which begins at 0. No focus."""
-
-    def __init__(self, capture: cv2.VideoCapture, path: Path) -> None:
-        self.size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
-        self._capture = capture
-        self._path = path
-        self._seq = 0
-
-    def focus_range(self) -> FocusRange | None:
-        return None
-
-    def set_focus(self, lens_position: int) -> int:
-        raise CameraError(f"{self._path}: the focus of a video cannot be set; use a camera or a stack: of photographs")
-
-    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
-        got, image = self._capture.read()
-        if not got:
-            raise CameraGone(f"{self._path}: end of the video after {self._seq} frames")
-        t_ns = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)  # of the frame just read
-        frame = _frame(t_ns, self._seq, np.asarray(image, np.uint8), roi)
-        self._seq += 1
-        return frame
-
-    def close(self) -> None:
-        self._capture.release()
-
-
-def _frame(t_ns: int, seq: int, image: Image, roi: Roi | None) -> Frame:
-    part = deliverable(roi, (image.shape[1], image.shape[0]))
-    pixels = image[part.y : part.y + part.height, part.x : part.x + part.width].copy()
-    return Frame(t_ns, seq, pixels, part, still=True)
-
-
 def _load(path: Path) -> Image:
     if not path.is_file():
         raise CameraGone(f"{path}: the photograph has gone; put it back")
@@ -218,3 +173,51 @@ def _photograph(row: dict[str, str | None], directory: Path, where: str) -> Phot
     if not (directory / name).is_file():
         raise CameraError(f"{where}: there is no file '{name}' in {directory}; correct the name or remove the row")
     return Photograph(value, directory / name)
+
+
+# --- video ---
+
+
+def open_video(path: Path) -> VideoCamera:
+    """Raises CameraError if OpenCV cannot play the file."""
+    if not path.is_file():
+        raise CameraError(f"{path}: no such file; give the path of a video")
+    capture = cv2.VideoCapture(str(path))
+    if not capture.isOpened():
+        raise CameraError(f"{path}: not a video that OpenCV can play; convert it to H.264 in MP4")
+    return VideoCamera(capture, path)
+
+
+class VideoCamera:
+    """Each read is the next frame of the file, stamped with the file's own time, which begins at 0. No focus."""
+
+    def __init__(self, capture: cv2.VideoCapture, path: Path) -> None:
+        self.size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+        self._capture = capture
+        self._path = path
+        self._seq = 0
+
+    def focus_range(self) -> FocusRange | None:
+        return None
+
+    def set_focus(self, lens_position: int) -> int:
+        raise CameraError(f"{self._path}: the focus of a video cannot be set; use a camera or a stack: of photographs")
+
+    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
+        got, image = self._capture.read()
+        if not got:
+            raise CameraGone(f"{self._path}: end of the video after {self._seq} frames")
+        t_ns = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)  # of the frame just read
+        frame = _frame(t_ns, self._seq, np.asarray(image, np.uint8), roi)
+        self._seq += 1
+        return frame
+
+    def close(self) -> None:
+        self._capture.release()
+
+
+def _frame(t_ns: int, seq: int, image: Image, roi: Roi | None) -> Frame:
+    """What `roi` asks for of a recorded picture."""
+    part = deliverable(roi, (image.shape[1], image.shape[0]))
+    pixels = image[part.y : part.y + part.height, part.x : part.x + part.width].copy()
+    return Frame(t_ns, seq, pixels, part, still=True)

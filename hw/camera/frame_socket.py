@@ -1,4 +1,4 @@
-"""The camera socket of the twin: what travels on it.
+"""The camera socket of the twin: its messages, the server inside the twin, and the camera at the other end.
 
 AF_UNIX stream. The client sends a request of fixed size; the server answers with a header of fixed size and then
 `nbytes` of payload: pixels (READ), numbers (INFO, SET_FOCUS) or, with any status but OK, one line of text.
@@ -23,6 +23,8 @@ import numpy as np
 
 from agent.clock.clock import Clock, SystemClock
 from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Roi, deliverable, nearest
+
+# --- messages ---
 
 MAGIC = b"AUC1"
 
@@ -117,11 +119,10 @@ def _checked(header: bytes) -> bytes:
     return fields
 
 
-# --- frame server ---
-# The camera socket's other end: a thread that serves one source of frames, a camera seen from inside the twin.
+# --- server ---
 
 STALL_S = 2.0  # a client that stops in the middle of a message for longer is dropped
-POLL_S = 0.2  # how late the thread notices that it shall end
+POLL_S = 0.2  # the thread notices this late that it has to end
 
 
 class FrameSource(Protocol):
@@ -240,7 +241,7 @@ def _listen(path: Path) -> socket.socket:
         listener = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
         try:
             listener.bind(str(path))
-            path.chmod(0o600)  # before listen(): nobody connects in between
+            path.chmod(0o600)  # before listen(): no other user connects in between
             listener.listen()
         except OSError:
             listener.close()
@@ -256,13 +257,12 @@ def _send(connection: socket.socket, reply: Reply, payload: bytes | memoryview) 
     connection.sendall(payload)
 
 
-# --- camera of the twin ---
-# twin: a camera of the tank twin, seen through its socket (hw.camera.frame_socket).
+# --- client: the camera twin:ROBOT ---
 
 
 def open_twin(path: Path, clock: Clock | None = None) -> TwinCamera:
     """Connect to the camera socket at `path`; frames are waited for by `clock`, the system's if not given.
-    Raises CameraGone if nobody serves it, CameraError if it is in use."""
+    Raises CameraGone if no twin serves it, CameraError if it is in use."""
     connection = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
     connection.settimeout(PATIENCE_S)
     try:
@@ -326,7 +326,7 @@ class TwinCamera:
         """One request, one reply. Raises CameraGone when the stream is of no more use."""
         until_ns = self._clock.now_ns() + round(timeout_s * 1e9)
         try:
-            with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # why we were refused is still to be read
+            with contextlib.suppress(BrokenPipeError, ConnectionResetError):  # the reply says why
                 self._connection.settimeout(timeout_s)
                 self._connection.sendall(pack_request(request))
             header = self._receive(REPLY_SIZE, until_ns)

@@ -38,7 +38,7 @@ def known_scheme(url: str) -> tuple[str, str]:
 
 
 def _open(scheme: str, place: str, twin_dir: Path, size: tuple[int, int] | None, clock: Clock) -> Camera:
-    # Imported when asked for: nobody needs the libraries of a camera that is not there.
+    # Imported when asked for: a robot needs no libraries of a camera that it does not have.
     if scheme == "twin":
         from hw.camera.frame_socket import open_twin
 

@@ -1,7 +1,7 @@
 """v4l2: a USB or CSI camera under Linux. Untested on hardware: checked against a fake of the driver's calls only.
 
-Nothing stands between us and the driver: only its own stamps say which frame shows which lens position, and only it
-tells the range of its focus.
+No library stands between this camera and the driver: only the driver's own stamps say which frame shows which lens
+position, and only the driver tells the range of the focus.
 """
 
 from __future__ import annotations
@@ -35,8 +35,7 @@ from hw.camera.v4l2_node import (
     gone,
 )
 
-# --- v4l2 format ---
-# What a V4L2 camera delivers: choosing among size, encoding and frame rate, and reading a buffer of that kind.
+# --- format: size, encoding and frame rate ---
 
 YUYV, MJPG = (int.from_bytes(name, "little") for name in (b"YUYV", b"MJPG"))
 ENCODINGS = (YUYV, MJPG)  # in this order: JPEG moves and flattens the focus peak
@@ -111,8 +110,7 @@ def _set_period_ns(device: Device) -> int:
     return numerator * 1_000_000_000 // denominator if numerator and denominator else UNKNOWN_NS
 
 
-# --- v4l2 stream ---
-# Frames out of a V4L2 driver's ring of buffers, each with the time at which it was exposed.
+# --- stream: the driver's ring of buffers ---
 #
 # A driver without a free buffer drops the new frame, not the old: after a pause the ring holds frames of earlier lens
 # positions. They are told apart by the driver's own stamps, and handed back unread.
@@ -132,7 +130,7 @@ class Picture(NamedTuple):
 
 
 def clock_is_known(flags: int, stamp_ns: int, arrived_ns: int, period_ns: int) -> bool:
-    """Whether a buffer's stamp is of CLOCK_MONOTONIC, as the driver says and as can be: others say nothing here."""
+    """Whether a stamp is of CLOCK_MONOTONIC: the driver says so, and it is at most a frame later than the arrival."""
     monotonic = flags & v4l2.BUF_FLAG_TIMESTAMP_MASK == v4l2.BUF_FLAG_TIMESTAMP_MONOTONIC
     return monotonic and stamp_ns <= arrived_ns + period_ns
 
@@ -152,7 +150,10 @@ def exposed(flags: int, stamp_ns: int, arrived_ns: int, exposure_ns: int, period
 
 
 class Stream:
-    """Started once with a format that is set, closed once. `exposure_ns` may be set at any time."""
+    """Frames of one device, each with the time at which it was exposed.
+
+    Started once with a format that is set, closed once. `exposure_ns` may be set at any time.
+    """
 
     def __init__(self, device: Device, form: Format, clock_ns: Callable[[], int]) -> None:
         self.exposure_ns = 0
@@ -202,7 +203,7 @@ class Stream:
         raise CameraGone(f"{self._device.path}: no new frame within {timeout_s:g} s: {why}")
 
     def close(self) -> None:
-        """Gives the buffers back, once; a device that is still mapped could not be opened by anybody."""
+        """Gives the buffers back, once; a device that is still mapped could not be opened again."""
         if not self._buffers:
             return
         with contextlib.suppress(OSError):  # it may be gone
@@ -236,7 +237,7 @@ class Stream:
         return argument
 
 
-# --- v4l2 ---
+# --- camera ---
 
 WARM_UP_FRAMES = 20  # for the automatic exposure to come to rest before it is locked; 0.7 s at 30 frames/s
 FIRST_FRAME_S = 3.0  # limit while warming up; cameras need up to two seconds after they were plugged in

@@ -1,8 +1,4 @@
-"""The video nodes of this computer: open one, or find the camera of a name among them.
-
-A camera that is unplugged and plugged in again may come back under another number. Its name, the port that it is
-plugged into, and udev's links under /dev/v4l/by-id stay the same.
-"""
+"""Video4Linux below the frames: the driver's calls, the video nodes of this computer, and a camera's controls."""
 
 from __future__ import annotations
 
@@ -19,12 +15,10 @@ from typing import NamedTuple, Protocol
 
 from hw.camera.camera import CameraError, CameraGone, FocusRange
 
-# --- v4l2 calls ---
-# What is said to a Video4Linux driver: numbers and structs of linux/videodev2.h and linux/v4l2-controls.h.
+# --- driver calls ---
 #
-# Numbers have their names there, without V4L2_ and CID_. A `Device` is one open node. Requests go through `ioctl`,
-# whose argument is a struct that the driver reads and writes. Structs are in the machine's own layout (struct's "@"),
-# as the kernel reads them.
+# Numbers and structs of linux/videodev2.h and linux/v4l2-controls.h, by their names there without V4L2_ and CID_.
+# Structs are in the machine's own layout (struct's "@"), as the kernel reads them.
 
 CAPABILITY = struct.Struct("@16s32s32s3I12x")  # driver card bus_info version capabilities device_caps
 FORMAT = struct.Struct("@I0L12I152x")  # type; width height fourcc field bytesperline sizeimage colorspace priv flags 3*
@@ -36,20 +30,20 @@ QUERY_CONTROL = struct.Struct("@2I32s4i3I")  # id type name lowest highest step 
 CONTROL = struct.Struct("@Ii")  # id value
 
 
-def _number(way: int, nr: int, layout: struct.Struct) -> int:
+def _request_code(way: int, nr: int, layout: struct.Struct) -> int:
     """_IOC of asm-generic/ioctl.h: direction, size of the argument, type 'V', number."""
     return way << 30 | layout.size << 16 | ord("V") << 8 | nr
 
 
 _WRITE, _READ, _BOTH = 1, 2, 3
-QUERYCAP = _number(_READ, 0, CAPABILITY)
-G_FMT, S_FMT = _number(_BOTH, 4, FORMAT), _number(_BOTH, 5, FORMAT)
-REQBUFS = _number(_BOTH, 8, REQUEST_BUFFERS)
-QUERYBUF, QBUF, DQBUF = (_number(_BOTH, nr, BUFFER) for nr in (9, 15, 17))
-STREAMON, STREAMOFF = (_number(_WRITE, nr, BUFFER_TYPE) for nr in (18, 19))
-S_PARM = _number(_BOTH, 22, STREAM_PARAMETERS)
-G_CTRL, S_CTRL = _number(_BOTH, 27, CONTROL), _number(_BOTH, 28, CONTROL)
-QUERYCTRL = _number(_BOTH, 36, QUERY_CONTROL)
+QUERYCAP = _request_code(_READ, 0, CAPABILITY)
+G_FMT, S_FMT = _request_code(_BOTH, 4, FORMAT), _request_code(_BOTH, 5, FORMAT)
+REQBUFS = _request_code(_BOTH, 8, REQUEST_BUFFERS)
+QUERYBUF, QBUF, DQBUF = (_request_code(_BOTH, nr, BUFFER) for nr in (9, 15, 17))
+STREAMON, STREAMOFF = (_request_code(_WRITE, nr, BUFFER_TYPE) for nr in (18, 19))
+S_PARM = _request_code(_BOTH, 22, STREAM_PARAMETERS)
+G_CTRL, S_CTRL = _request_code(_BOTH, 27, CONTROL), _request_code(_BOTH, 28, CONTROL)
+QUERYCTRL = _request_code(_BOTH, 36, QUERY_CONTROL)
 
 CAP_VIDEO_CAPTURE, CAP_STREAMING, CAP_DEVICE_CAPS = 0x1, 0x0400_0000, 0x8000_0000  # capabilities
 BUF_TYPE_VIDEO_CAPTURE = 1
@@ -75,12 +69,12 @@ EXPOSURE_MANUAL = 1  # 0 would be automatic
 
 
 class Device(Protocol):
-    """One open video node, real (hw.camera.v4l2_node) or not."""
+    """One open video node: a `Node`, or a fake of the driver's calls."""
 
     path: str
 
     def ioctl(self, request: int, argument: bytearray) -> None:
-        """Raises OSError."""
+        """One request; its argument is a struct that the driver reads and writes. Raises OSError."""
 
     def map(self, offset: int, length: int) -> memoryview:
         """The memory of one of the driver's buffers."""
@@ -112,11 +106,14 @@ def _text(raw: bytes) -> str:
     return raw.split(b"\0", 1)[0].decode(errors="replace")
 
 
-# --- v4l2 node ---
+# --- video nodes ---
+#
+# A camera that is unplugged and plugged in again may come back under another number. Its name, the port that it is
+# plugged into, and udev's links under /dev/v4l/by-id stay the same.
 
 
 class Node:
-    """One open node; see hw.camera.v4l2_node.Device."""
+    """The `Device` of a path under /dev."""
 
     def __init__(self, path: str, descriptor: int) -> None:
         self.path = path
@@ -147,11 +144,13 @@ class System(NamedTuple):
 
 
 def _nodes() -> list[str]:
-    numbered = [(int(found[1]), str(path)) for path in Path("/dev").glob("video*") if (found := _NUMBER(path.name))]
+    numbered = [
+        (int(found[1]), str(path)) for path in Path("/dev").glob("video*") if (found := _NODE_NUMBER(path.name))
+    ]
     return [path for _, path in sorted(numbered)]
 
 
-_NUMBER = re.compile(r"video(\d+)").fullmatch
+_NODE_NUMBER = re.compile(r"video(\d+)").fullmatch
 
 
 def _attach(path: str) -> Node:
@@ -222,8 +221,7 @@ def _by_name(name: str, system: System) -> tuple[Device, Identity]:
     raise CameraGone(f"no camera is called '{name}'; there is {', '.join(there) or 'none at all'}")
 
 
-# --- v4l2 controls ---
-# Controls of a V4L2 camera: what it has, what it is set to, and what keeps it from changing by itself.
+# --- controls ---
 #
 # Controls are addressed by number, since their names differ between kernels. A sweep compares the sharpness of
 # frames, so between them nothing but the lens may change.

@@ -26,7 +26,6 @@ from hw.firmware.failsafe import SURFACE
 from hw.stm32.protocol import Counters, Greeting, HostProtocol, Level, Outcome, StatusText
 
 # --- serial ports ---
-# Serial ports by name: which path to open for a fleet file's address, and why one cannot be used.
 
 
 def open_port_path(url: str, twin_dir: Path) -> str:
@@ -46,10 +45,9 @@ def reason(error: OSError) -> str:
     return os.strerror(error.errno) if error.errno else str(error)
 
 
-# --- parameter texts ---
-# What people are told about the parameters of hw.firmware.parameters: unit and meaning of each, by name.
+# --- parameters of hw.firmware.parameters ---
 
-TEXTS: dict[str, tuple[str, str]] = {
+TEXTS: dict[str, tuple[str, str]] = {  # name -> unit and meaning, as people read them
     "law": ("", "0 pi, 1 pid, 2 observer"),
     "pid_set": ("", "gains of pid: 0 for thrusters of 10 N and 0.10 s, 1 for 5 N and 0.15 s"),
     "heave_kg": ("kg", "mass with the water that moves along"),
@@ -64,9 +62,6 @@ TEXTS: dict[str, tuple[str, str]] = {
     **{f"zero_{k}_us": ("us", f"neutral pulse of T{k}") for k in range(1, 9)},
     "pulse_frame_us": ("us", "from one pulse of a thruster to the next, as short as its ESC takes"),
 }
-
-# --- parameter check ---
-# Names and values of parameters, checked before they are asked of a board.
 
 IDS: dict[str, int] = {name: i for i, name in enumerate(parameters.NAMES)}
 
@@ -93,13 +88,13 @@ def checked_id(name: str, value: float) -> int:
 
 BAUD = 1_000_000  # an exact divisor of the F407's bus clocks; at 115200 one telemetry frame takes 7 ms
 BACK_OFF_S = (0.1, 1.0)  # first and longest pause between attempts to open the port
-TURN_NS = 50_000_000  # the thread looks at least so often whether something is to be said again
+TURN_NS = 50_000_000  # the thread looks at least this often whether an order has to be repeated
 MAX_WAITING = 1024  # bytes not yet taken by the port: beyond it a set-point is stale before it leaves
 Mode = Literal["hold", "stabilise", "surface", "bench"]
 Tap = Callable[[bool, bytes], None]  # (whether from the board, bytes), called in the driver's thread
 MODES: tuple[Mode, ...] = ("hold", "stabilise", "surface", "bench")  # in the order of wire.HOLD ...
 SLACK_S = 0.025  # how long an order may lie here before a dive's clock waits
-SLOWEST = 0.2  # a dive's clock may be slower, but whoever ends does not wait for it
+SLOWEST = 0.2  # a dive's clock may be slower, but close() does not wait for it
 LAST_ORDER_S = 0.3  # of the clock: how long close() waits for the board to say that the motors are off
 
 
@@ -202,7 +197,7 @@ class Stm32:
     def set_parameter(self, name: str, value: float) -> Future[Outcome]:
         """Set one until the next boot, or for good with `save_parameters`; refused while armed.
 
-        Raises ConfigError for a name or value that cannot be. A board that restarts while we look on is told again
+        Raises ConfigError for a name or value that cannot be. A board that restarts meanwhile is told again
         what was set and not saved.
         """
         i = checked_id(name, value)
@@ -228,7 +223,7 @@ class Stm32:
             return self._protocol.counters
 
     def close(self) -> None:
-        """Motors off first, then the port. Returns after LAST_ORDER_S even if nobody answers."""
+        """Motors off first, then the port. Returns after LAST_ORDER_S even without an answer."""
         self._end(wire.DISARM)
 
     def let_surface(self) -> None:
@@ -263,7 +258,7 @@ class Stm32:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        if isinstance(error, Exception):  # a person's Ctrl-C is none, nor is an exit that was asked for
+        if isinstance(error, Exception):  # Ctrl-C is none, nor is an exit that was asked for
             self.let_surface()
         else:
             self.close()
@@ -295,7 +290,7 @@ class Stm32:
         pause_s = BACK_OFF_S[0]
         while not self._closing.is_set():
             try:
-                # The pty that a dead twin's link names is another's by now, who would hear our orders.
+                # The pty that a dead twin's link names belongs to another program by now, which would get the orders.
                 if not self._clock.is_driven():
                     raise OSError(errno.ENODEV, "the twin has gone")
                 # exclusive is a lock on the file: two agents on one board would fight over it
@@ -367,10 +362,6 @@ class Stm32:
 
 
 # --- motors ---
-# Whether motors shall turn, by whoever started the agent and by orders; the module is told so, and told again.
-#
-# A robot that surfaced since its host was silent is called back when the host is there again, but never one that
-# somebody has ordered up or stopped.
 
 AGAIN_NS = 500_000_000  # after this long a module that still does not do what was ordered is told again
 GIVEN_UP = "to start them, put right what stopped them, and order: arm; or start this agent again with --arm"
@@ -387,10 +378,14 @@ class Module(Protocol):
 
 
 class Motors:
-    """Of one robot."""
+    """Whether the motors of one robot turn, by the agent's start and by orders; the module is told so, and told again.
+
+    A robot that surfaced because its host was silent is called back when the host is there again, but never a robot
+    that was ordered up or stopped.
+    """
 
     def __init__(self, module: Module, arm: bool) -> None:
-        """arm: as whoever started the agent wants it."""
+        """arm: whether the agent was started with --arm."""
         self._module = module
         self._wish: Ordered | Literal["never armed"] = "arm" if arm else "never armed"
         self._told_ns = 0
@@ -426,7 +421,7 @@ class Motors:
 
 
 def surfacing_for_silence(telemetry: Telemetry) -> bool:
-    """Whether the module, still armed, rises only because the host was silent for 3 s. The host is back now, and who
-    armed it wants the dive to go on; a leak, a low battery or a bad sensor is for a person to judge."""
+    """Whether the module, still armed, rises only because the host was silent for 3 s. The host is back now, and the
+    order to arm still holds; a leak, a low battery or a bad sensor is for a person to judge."""
     own = wire.FLAG_LEAK | wire.FLAG_BATTERY | wire.FLAG_DEGRADED
     return telemetry.armed and telemetry.ladder == SURFACE and not telemetry.flags & own

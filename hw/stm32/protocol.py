@@ -14,8 +14,7 @@ from msgspec import UNSET
 from agent.core.step_io import SetPoint, Telemetry
 from hw.firmware import parameters, wire
 
-# --- orders ---
-# Orders to the control module under way: asked, sent, repeated, answered. No port, no clock, no thread.
+# --- orders: asked, sent, repeated, answered ---
 
 ATTEMPTS = 4  # without an answer; they reach 99.4 % at 15 % loss each way
 REPEAT_AFTER_NS = 100_000_000
@@ -139,8 +138,7 @@ class Orders:
         return order
 
 
-# --- fields ---
-# Fields of the wire's frames (hw.firmware.wire) from our messages, and our messages from such fields.
+# --- fields of the wire's frames (hw.firmware.wire) and the host's messages ---
 
 TTL_MS = 500  # of a set-point; the board holds position after it
 
@@ -156,7 +154,7 @@ class StatusText(NamedTuple):
 
 
 class Greeting(NamedTuple):
-    """Who the board says it is."""
+    """What the board says of itself."""
 
     build: str
     uid: str  # of the chip, hexadecimal
@@ -186,7 +184,7 @@ def set_point_fields(asked: SetPoint, now_ns: int) -> tuple[int, ...]:
 
 class TelemetryFrame(NamedTuple):
     telemetry: Telemetry
-    greeted: bool  # the board knows us; not so after a restart
+    greeted: bool  # the board knows this host; not so after a restart
     set_point_seq: int  # number of the frame that brought the set-point in force
 
 
@@ -233,11 +231,10 @@ def event_line(code: int, before: int, after: int, severity: int, arg: int) -> S
 
 
 # --- arming ---
-# The wish that a board be armed: asked again while waiting can cure a refusal, given up for good when it cannot.
 
 AGAIN_NS = 500_000_000  # after a refusal that time alone can cure
 
-# Refusals that go away while the robot just waits; each other one needs somebody to do something.
+# Refusals that go away while the robot just waits; each other one needs a person to do something.
 CURABLE = frozenset(
     {
         "no handshake",
@@ -255,7 +252,11 @@ REBOOT = "look at the robot, then `aucamp board reboot`"
 
 
 class Arming:
-    """What we want, what the board is, and when to ask. Methods that return a line want it to be said."""
+    """Whether the board is to be armed, whether it is, and when to ask it.
+
+    It is asked again while waiting can cure a refusal, and given up for good when it cannot. A line that a method
+    returns has to be said.
+    """
 
     def __init__(self) -> None:
         self.wanted = False
@@ -270,7 +271,7 @@ class Arming:
         self.begin()
 
     def begin(self) -> None:
-        """Ask at once: a new wish, or a new port."""
+        """Ask at once: after a new order, or on a new port."""
         self._due_ns = 0
         self._refusal = ""
 
@@ -304,17 +305,17 @@ class Arming:
         return StatusText("info", f"arming waits: {text}") if text != before else None
 
     def give_up(self, text: str) -> StatusText | None:
-        """The board is not armed, and from here on nobody wants it to be until somebody says so again."""
+        """The board is not armed, and is not asked to arm until it is ordered again."""
         line = StatusText("error", text) if self.wanted else None
         self.wanted = self.armed = False
         return line
 
 
-# --- protocol ---
+# --- conversation ---
 
 HELLO_EVERY_NS = 500_000_000
 
-# Telemetry kept for a caller who is late: 5 s at 50 Hz. Lines of text: more is a babbling board.
+# Telemetry kept for a caller that is late: 5 s at 50 Hz. Lines of text: more is a babbling board.
 KEEP_TELEMETRY, KEEP_LINES = 256, 64
 
 
@@ -323,9 +324,9 @@ class Counters(NamedTuple):
     rx_bad: int = 0  # broken frames
     lost: int = 0  # frames missing in the board's numbering
     reconnects: int = 0  # times the port was opened again
-    dropped: int = 0  # telemetry that nobody fetched in time
+    dropped: int = 0  # telemetry that the caller did not fetch in time
     latency_ns: int | None = None  # newest: from handing over a set-point to telemetry that shows it
-    board_rx_ok: int = 0  # frames that the board got from us
+    board_rx_ok: int = 0  # frames that the board got from the host
     board_rx_bad: int = 0  # broken ones
     board_late: int = 0  # cycles that the board has missed since it booted, modulo 65536
 
@@ -402,7 +403,7 @@ class HostProtocol:
         return self._frame(wire.SETPOINT, *set_point_fields(asked, now_ns))
 
     def arm(self) -> None:
-        """Ask for arming as soon as the board can; refused for a reason that waiting cannot cure, the wish ends."""
+        """Ask for arming as soon as the board can; a refusal that waiting cannot cure ends it."""
         self._arming.want()
 
     def stop(self, kind: int, *fields: float) -> None:
@@ -493,7 +494,7 @@ class HostProtocol:
         if not self._agreed and self._version != wire.PROTOCOL:
             self._version, self._hello_due_ns = wire.PROTOCOL, None  # it knows more: greet again, now
         if self._hello and boot_id == self._boot_id:
-            return  # it has been told already who this is
+            return  # a greeting that was said already
         known = self.greeting
         name = build.decode(errors="replace")
         self.greeting = Greeting(name, uid.hex(), boot_id, cause, crc, capabilities)
@@ -511,7 +512,7 @@ class HostProtocol:
 
     def _on_telemetry(self, frame: TelemetryFrame) -> None:
         telemetry, greeted, set_point_seq = frame
-        if not greeted:  # it has restarted behind our back
+        if not greeted:  # it has restarted meanwhile
             self.hung_up()
             return
         self._say(self._arming.seen(telemetry.armed))
@@ -531,7 +532,7 @@ class HostProtocol:
         if kind == wire.ARM:
             self._arming.answered(result == wire.OK, self._now_ns)
         elif kind in (wire.DISARM, wire.ESTOP):
-            self._arming.armed = False  # by our own order: nothing to report
+            self._arming.armed = False  # by the host's own order: nothing to report
         elif kind == wire.PARAM_SAVE and result == wire.OK:
             self._set = {}
 

@@ -29,8 +29,8 @@ from hw.twin.optics.lens import Lens, Vcm, draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.physics.body import euler_rad
 from hw.twin.physics.tank import TICK_NS
-from hw.twin.scene import Scene, Solid, generator, in_daylight, lamp_place, scene_of
-from hw.twin.truth import PaintedTag, Watch, tags_as_json, target_solids, true_tags
+from hw.twin.scene import Scene, Solid, generator, in_daylight, lamp_place, scene_of, target_solids
+from hw.twin.truth import PaintedTag, Watch, tags_as_json, true_tags
 from hw.twin.twin_folder import clock_path, locked, twin_dir
 
 SWITCH_S = 0.0005  # Python's own 5 ms, for which a camera's thread keeps the water waiting, are half a tick
@@ -46,7 +46,7 @@ def run(fleet_path: Path, *, bench: str | None = None, speed: float = 1.0) -> in
     stop = threading.Event()
 
     def interrupt(number: int, frame: object) -> None:
-        """While starting, which may compile for long; `stop` is for where Python forgets an exception, in callbacks."""
+        """While starting, which may compile for long; `stop` is for callbacks, where Python drops an exception."""
         stop.set()
         raise KeyboardInterrupt
 
@@ -176,7 +176,7 @@ def _write_truth(path: Path, fleet: Fleet, solids: dict[str, Solid], dive: Dive)
 
 
 def _be_ready(folder: Path, stop: threading.Event) -> None:
-    """Say so; from now on a signal ends the loop between two ticks instead of interrupting whatever runs."""
+    """Say that all is served; from now on a signal ends the loop between two ticks instead of interrupting a call."""
     for number in SIGNALS:
         signal.signal(number, lambda *_: stop.set())
     (folder / "ready").touch()

@@ -1,4 +1,4 @@
-"""The calibration bench: one robot clamped under water in front of a chessboard that can be put where one likes.
+"""The calibration bench: one robot clamped under water in front of a chessboard that can be moved.
 
 Lens, lens motor and servos are those that the robot dives with. Time is virtual: servos have settled when a request
 is answered, and a frame costs no more than its rendering.
@@ -107,11 +107,10 @@ class Bench:
             return Frame(middle_ns, seq, image, roi or Roi(0, 0, *self.size))
 
 
-# --- bench socket ---
-# The socket of the calibration bench: JSON, one object a line.
+# --- socket: JSON, one object a line ---
 #
-# {"board_m": [x, y, z] or null, "servo_us": [pan, tilt]} is answered by {"ok": true} or {"error": "..."}; for what
-# they mean see Bench.place.
+# {"board_m": [x, y, z] or null, "servo_us": [pan, tilt]} is answered by {"ok": true} or {"error": "..."}; Bench.place
+# says what they mean.
 
 MAX_LINE = 1024  # bytes of a request
 POLL_S = 0.2
@@ -168,7 +167,7 @@ def _answer(bench: Bench, line: bytes) -> dict[str, Any]:
 
 
 class BenchClient:
-    """The hand that moves the chessboard; `with BenchClient(folder / "r1.bench") as bench: bench.place(...)`."""
+    """Moves chessboard and servos by the socket; `with BenchClient(folder / "r1.bench") as bench: bench.place(...)`."""
 
     def __init__(self, path: Path) -> None:
         self._path = path

@@ -1,4 +1,4 @@
-"""One robot's camera in the water: when a frame is exposed, from where, and with the lens at which distance."""
+"""One robot's camera in the water: when a frame is exposed, from which pose, and with the lens at which distance."""
 
 from __future__ import annotations
 
@@ -93,8 +93,8 @@ class DiveCamera:
     ) -> None:
         """`now_ns`: the dive's clock. `rendering(delivered_ns, latest_ns)` is around the making of a frame: it ends
         when it is delivered_ns, and it may keep time from going beyond latest_ns before that. `creatures` as the
-        history has them, of which `witness` is told what each frame shows. lamp_m: where on each robot's body its
-        lamp is; None: there are none, or the water is such that they do not show."""
+        history has them; `witness` gets what each frame shows of them. lamp_m: where on each robot's body its lamp
+        is; None: there are none, or the water is such that they do not show."""
         self.size = (lens.width, lens.height)
         self.focus_range = FocusRange(lens.lowest, lens.highest, 1)
         self._me, self._history, self._camera_m, self._lamp_m = me, history, camera_m, lamp_m
@@ -114,7 +114,7 @@ class DiveCamera:
         delivered_ns = opens_ns + DELIVERY_NS
         with self._rendering(delivered_ns, delivered_ns + LATER_NS):
             exposure, open_ns = None, EXPOSURE_NS
-            if self._lamp_m is not None:  # as long as the light asks for that there is when the shutter opens
+            if self._lamp_m is not None:  # as long as the light asks for when the shutter opens
                 self._history.wait(opens_ns)
                 moment, elevation_rad = self._moment(opens_ns)
                 exposure = self._painter.metered(moment, self._vcm.image_distance_m(opens_ns, elevation_rad))

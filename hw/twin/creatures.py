@@ -1,9 +1,9 @@
-"""One creature: a fish that wanders, shies, hides behind stones and rests, or swims from point to point.
+"""The creatures of a scene: fish that wander, shy, hide behind stones and rest, or swim from point to point.
 
-Its speed through the water, which takes it along, follows what it wants with a lag; who rests holds its place. Its
-turning is an Ornstein-Uhlenbeck rate, with what it shies from on top. All figures of temper are assumed; the beat of
-the tail is not: fish gain some 0.65 of their length with each (Bainbridge 1958; Videler, Fish Swimming, 1993), and beat
-as wide at all but the lowest speeds.
+A creature's speed through the water, which carries it along, follows the speed that it wants with a lag; at rest it
+holds its place. Its turning rate is an Ornstein-Uhlenbeck process, with what it shies from on top. All figures of
+temper are assumed; the beat of the tail is not: fish gain some 0.65 of their length with each (Bainbridge 1958;
+Videler, Fish Swimming, 1993), and beat as wide at all but the lowest speeds.
 """
 
 from __future__ import annotations
@@ -29,10 +29,9 @@ from hw.twin.scene import Creature, Solid, generator
 if TYPE_CHECKING:
     from hw.twin.optics.painter import Outline
 
-# --- steering ---
-# What a creature shies from, and what it cannot swim through.
+# --- steering: what a creature shies from, and what it cannot swim through ---
 
-SHY_M = 0.35  # from where it minds walls, floor, surface, stones and robots
+SHY_M = 0.35  # distance at which it begins to shy from walls, floor, surface, stones and robots
 SIDE, LEVEL = 0.52, 0.31  # lengths that its middle keeps from walls; from floor and surface, whatever its pitch
 SKIN = 0.2  # lengths that its middle keeps from the surface of a stone
 
@@ -54,9 +53,9 @@ class Water(NamedTuple):
 
 
 def pushes(place_m: Vector, length_m: float, water: Water) -> Vector:
-    """Where to get away to: each thing within SHY_M pushes straight off by up to 1, with the square of its nearness.
+    """The way to get away: each thing within SHY_M pushes straight off by up to 1, with the square of its nearness.
 
-    Of a tank that is narrow the middle third pushes nobody. Robots count from their middle, stones from their surface.
+    In the middle third of a narrow tank walls do not push. Robots count from their middle, stones from their surface.
     """
     away = [0.0, 0.0, 0.0]
     for axis, (x, size) in enumerate(zip(place_m, water.size_m, strict=True)):
@@ -87,7 +86,7 @@ def allowed(place_m: Vector, length_m: float, water: Water) -> Vector:
 
 
 def lee(stone: Thing, watcher_m: Vector, length_m: float, water: Water) -> Vector:
-    """The place right behind a stone for who watches from there."""
+    """The place right behind a stone, as seen from watcher_m."""
     dx, dy = stone.centre_m[0] - watcher_m[0], stone.centre_m[1] - watcher_m[1]
     far = math.hypot(dx, dy) or 1.0
     ux, uy = dx / far, dy / far
@@ -132,7 +131,7 @@ def _out_of(place_m: Vector, thing: Thing, skin_m: float) -> Vector:
     return x, y, z
 
 
-# --- one creature ---
+# --- one creature's motion ---
 
 TURN_S, TURN_RAD_S = 1.5, 1.04  # of the turning rate: how soon it is another one, standard deviation
 CLIMB_S, CLIMB_RAD = 3.0, 0.12  # the same of its pitch
@@ -163,7 +162,7 @@ class Attitude(NamedTuple):
 
 
 class Swimmer:
-    """`attitude` after each `tick`. A seed and a name make one stream of chance, which nobody else draws from."""
+    """`attitude` after each `tick`. A seed and a name make one random stream, of this creature alone."""
 
     def __init__(self, creature: Creature, seed: int, water: Water) -> None:
         self.length_m = creature.length_m
@@ -292,15 +291,14 @@ def _wrap(angle_rad: float) -> float:
     return math.remainder(angle_rad, 2 * math.pi)
 
 
-# --- all creatures ---
-# All creatures of a scene, one tick after the other.
+# --- all creatures of a scene ---
 
 ROBOT_M = (0.17, 0.17, 0.12)  # what no creature swims through: a hull and its thrusters' rings
 TICK_S = TICK_NS * 1e-9
 
 
 class School:
-    """Empty for a scene without creatures. Raises ConfigError for one that has no room in the water."""
+    """Empty for a scene without creatures. Raises ConfigError for a creature that has no room in the water."""
 
     def __init__(self, creatures: Sequence[Creature], seed: int, size_m: Vector, solids: Sequence[Solid]) -> None:
         self.creatures = tuple(creatures)
@@ -358,8 +356,7 @@ def _check(creature: Creature, names: Sequence[str], size_m: Vector) -> None:
             )
 
 
-# --- shape ---
-# The body that an attitude gives a creature: ellipsoids along a midline that bends as it swims.
+# --- shape: ellipsoids along a midline that bends as a creature swims ---
 #
 # The midline's offset to the side at s, from nose (0) to tail (1), is (C1 s + C2 s^2) sin(k s - phase), one wave in a
 # length, a tenth of the length wide at the tail (Barrett, Triantafyllou et al., J. Fluid Mech. 392, 1999, of a tuna).
@@ -389,7 +386,7 @@ PARTS = (
 
 
 def swimming(creature: Creature, attitude: Attitude, seed: int) -> Swimming:
-    """The ellipsoids of a creature, world frame. Its pattern is its own, or that of whom it looks like."""
+    """The ellipsoids of a creature, world frame. Its pattern is its own, or that of the creature that it is `like`."""
     across_m, up_m = _pattern_m(seed, creature.like or creature.name)
     length_m, material = creature.length_m, FISH_MATERIALS[creature.colour]
     middle_m = np.array(attitude[:3])
@@ -426,10 +423,10 @@ def _turned(angle_rad: float) -> NDArray[np.float64]:
     return np.array(((c, -s, 0.0), (s, c, 0.0), (0.0, 0.0, 1.0)))
 
 
-# --- truth about creatures ---
-# The truth about creatures, beside that about robots (hw.twin.truth): creatures.csv and, of each frame, boxes.csv.
+# --- the truth about creatures: creatures.csv and, of each frame, boxes.csv ---
 #
-# For who judges a dive, never for an agent. Both stay in the twin's folder until its next dive begins.
+# Both are for the evaluation of a dive, as hw.twin.truth's files about robots are, never for an agent. They stay in the
+# twin's folder until its next dive begins.
 
 CREATURES, BOXES = "creatures.csv", "boxes.csv"
 HEAD = "t_ns,creature,x_m,y_m,z_m,heading_rad,pitch_rad"
@@ -438,7 +435,7 @@ FLUSH = 20  # looks, a second
 
 
 class Lookout:
-    """Writes where each creature is at each look, and what frames show of them; cameras tell from threads of theirs."""
+    """Writes where each creature is at each look, and what frames show of them. Cameras call from their own threads."""
 
     def __init__(self, creatures: Sequence[str], folder: Path) -> None:
         self._names, self._looks = list(creatures), 0

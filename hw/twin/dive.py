@@ -1,6 +1,6 @@
-"""One tick of the whole fleet: what the boards command moves the robots, and what the water then is they read.
+"""A dive of the whole fleet, tick by tick: the robots move as the boards command, and the boards read the new water.
 
-Also where events are applied, those of the scene file at their times or one that a test calls for.
+Events are applied here too: those of the scene file at their times, or one that a test calls for.
 """
 
 from __future__ import annotations
@@ -65,111 +65,6 @@ from hw.twin.scene import (
 )
 from hw.twin.truth import WATCH_TICKS, Stage, Watch, movable, true_tags
 
-# --- launch ---
-# How the robots of a dive begin: bodies drawn, put where the crew really puts them, held until they are armed.
-
-
-def launch(
-    fleet: Fleet, robots: Sequence[str], plants: Sequence[Plant], sigma: StartSigma
-) -> tuple[NDArray[np.void], NDArray[np.void]]:
-    """(n,) BODY and (n,) STATE of the robots, each with what its plant overrides."""
-    bodies, states = np.zeros(len(robots), BODY), np.zeros(len(robots), STATE)
-    for i, name in enumerate(robots):
-        pose, depth_m = fleet.robot[name].pose, fleet.robot[name].depth_m
-        x_m, y_m, yaw_deg = put_off(sigma, (pose.x_m, pose.y_m, pose.yaw_deg), fleet.twin.seed, name)
-        start = (x_m, y_m, fleet.tank.surface_m - depth_m, yaw_deg)
-        bodies[i] = draw_body(fleet.twin.seed, name, start, fleet.tank, fleet.body)
-        set_body(bodies[i], plants[i])
-    states["held"] = 1
-    states["position_m"] = bodies["home_m"]
-    states["quaternion"] = [quaternion(0.0, 0.0, yaw) for yaw in bodies["home_yaw_rad"]]
-    states["motor_deg"] = states["shaft_deg"] = bodies["servo_zero_deg"]
-    return bodies, states
-
-
-# --- what robots showed ---
-# Where robots and creatures were during the last two seconds, for cameras that expose at a time of their own.
-
-SPAN = 200  # ticks kept
-
-
-class RobotPose(NamedTuple):
-    position_m: NDArray[np.float64]  # (3,) centre of the hull, world
-    rotation: NDArray[np.float64]  # (3, 3) body -> world
-    pan_deg: float  # where the camera's gimbal truly points
-    tilt_deg: float
-    lamp_pan_deg: float = 0.0
-    lamp_tilt_deg: float = 0.0
-    lamp: float = 0.0  # its light, as a share of a mean lamp's at full power
-
-
-class History:
-    """A ring of the states at each tick. One thread appends; any number of threads wait and look."""
-
-    def __init__(self, robots: int, start_ns: int, creatures: int = 0) -> None:
-        self._rows = np.zeros((SPAN, robots, 12))  # position, quaternion, pan and tilt of camera and lamp, light
-        self._swum = np.zeros((SPAN, creatures, len(Attitude._fields)))
-        self._start_ns = start_ns
-        self._newest = -1
-        self._closed = False
-        self._changed = threading.Condition()
-        self._awaited_ns: float = np.inf  # waking nobody costs nothing: notify only when somebody's time has come
-
-    def append(self, states: NDArray[np.void], creatures: Sequence[Attitude] = (), lamps: ArrayLike = 0.0) -> None:
-        """The states one tick after those appended before; `lamps` (robots,): their light."""
-        with self._changed:
-            self._newest += 1
-            row = self._rows[self._newest % SPAN]
-            row[:, :3], row[:, 3:7], row[:, 7:11] = states["position_m"], states["quaternion"], states["shaft_deg"]
-            row[:, 11] = lamps
-            if creatures:
-                self._swum[self._newest % SPAN] = creatures
-            if self.newest_ns >= self._awaited_ns:
-                self._awaited_ns = np.inf
-                self._changed.notify_all()
-
-    @property
-    def newest_ns(self) -> int:
-        return self._start_ns + self._newest * TICK_NS
-
-    def wait(self, t_ns: int) -> None:
-        """Return once the water has moved on to t_ns. Raises CameraGone when the twin ends before."""
-        with self._changed:
-            while self.newest_ns < t_ns and not self._closed:
-                self._awaited_ns = min(self._awaited_ns, t_ns)
-                self._changed.wait()
-            if self._closed:
-                raise CameraGone("the twin has ended; start it again")
-
-    def at(self, t_ns: int) -> list[RobotPose]:
-        """The pose of each robot at t_ns, interpolated between ticks.
-
-        Raises CameraGone for a time that is not, or no longer, kept: the reader was stopped for too long.
-        """
-        # A tick turns a robot by a degree at most: the quaternions' mean is as good as the arc between them.
-        rows = self._between(self._rows, t_ns)
-        return [RobotPose(row[:3], matrix(row[3:7]), *row[7:].tolist()) for row in rows]
-
-    def creatures_at(self, t_ns: int) -> list[Attitude]:
-        """The attitude of each creature, as `at`."""
-        return [Attitude(*row) for row in self._between(self._swum, t_ns).tolist()]
-
-    def _between(self, kept: NDArray[np.float64], t_ns: int) -> NDArray[np.float64]:
-        with self._changed:
-            k, rest_ns = divmod(t_ns - self._start_ns, TICK_NS)
-            oldest = max(self._newest - SPAN + 1, 0)
-            if not oldest <= k < self._newest + (rest_ns == 0):
-                raise CameraGone(f"no pose is kept of {t_ns} ns; ask again")
-            before, after = kept[k % SPAN], kept[(k + (rest_ns > 0)) % SPAN]
-            return np.asarray(before + (rest_ns / TICK_NS) * (after - before))
-
-    def close(self) -> None:
-        """Send everybody who waits home."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-
-
 # --- dive ---
 
 STILL = Scene(name="still")
@@ -208,13 +103,13 @@ class Dive:
         self.history = History(len(robots), start_ns, len(scene.creature))
         self.stage = Stage(scene.solid, true_tags(fleet.landmarks, seed))
         self.school = School(scene.creature, seed, (*fleet.tank.size_m[:2], surface_m), scene.solid)
-        self.watch: Watch | None = None  # of robots that swim, where somebody wants to know
+        self.watch: Watch | None = None  # of robots that swim, where their paths are to be recorded
         self.lookout: Lookout | None = None  # the same of creatures
         self.ticks, self._start_ns = 0, start_ns
         self._mounting, self._size_m, self._surface_m = fleet.body, np.array(fleet.tank.size_m), surface_m
         self._flow = Flow(seed, self.robots, scene.current, scene.tether_pull)
         self._pulses_us = np.zeros((len(robots), 8))  # no pulses before a board drives its pins
-        self._to_show: list[tuple[int, int, Act]] = []  # pins to come: since when in us, whose
+        self._to_show: list[tuple[int, int, Act]] = []  # pins to come: since when in us, number of the robot
         self._nominal_deg = np.zeros((len(robots), 4))
         self._water_pa = np.zeros((len(robots), 4))
         self._to_come = sorted(scene.event, key=lambda event: event.at_s, reverse=True)  # the next is the last
@@ -305,7 +200,7 @@ class Dive:
     def _actuate(self, i: int, act: Act) -> None:
         self._to_show.append((act.since_us, i, act))
         if act.armed:
-            self.states[i]["held"] = 0  # the crew lets go, once
+            self.states[i]["held"] = 0  # the crew lets the robot go, once
 
     def _show(self, i: int, act: Act) -> None:
         self._pulses_us[i] = act.pulses_us
@@ -436,11 +331,120 @@ def apply(event: AnyEvent, dive: Dive) -> None:
             assert_never(event)
 
 
-# --- pace of a dive ---
-# How fast a dive goes: by a clock that its agents follow, or as fast as every firmware answers, for experiments.
+# --- launch ---
+
+
+def launch(
+    fleet: Fleet, robots: Sequence[str], plants: Sequence[Plant], sigma: StartSigma
+) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """(n,) BODY and (n,) STATE of the robots at the start of a dive.
+
+    Bodies are drawn, each with what its plant overrides, put where the crew really puts them, and held until they are
+    armed.
+    """
+    bodies, states = np.zeros(len(robots), BODY), np.zeros(len(robots), STATE)
+    for i, name in enumerate(robots):
+        pose, depth_m = fleet.robot[name].pose, fleet.robot[name].depth_m
+        x_m, y_m, yaw_deg = put_off(sigma, (pose.x_m, pose.y_m, pose.yaw_deg), fleet.twin.seed, name)
+        start = (x_m, y_m, fleet.tank.surface_m - depth_m, yaw_deg)
+        bodies[i] = draw_body(fleet.twin.seed, name, start, fleet.tank, fleet.body)
+        set_body(bodies[i], plants[i])
+    states["held"] = 1
+    states["position_m"] = bodies["home_m"]
+    states["quaternion"] = [quaternion(0.0, 0.0, yaw) for yaw in bodies["home_yaw_rad"]]
+    states["motor_deg"] = states["shaft_deg"] = bodies["servo_zero_deg"]
+    return bodies, states
+
+
+# --- history ---
+
+SPAN = 200  # ticks kept
+
+
+class RobotPose(NamedTuple):
+    position_m: NDArray[np.float64]  # (3,) centre of the hull, world
+    rotation: NDArray[np.float64]  # (3, 3) body -> world
+    pan_deg: float  # where the camera's gimbal truly points
+    tilt_deg: float
+    lamp_pan_deg: float = 0.0
+    lamp_tilt_deg: float = 0.0
+    lamp: float = 0.0  # its light, as a share of a mean lamp's at full power
+
+
+class History:
+    """Where robots and creatures were during the last two seconds, for cameras that expose at a time of their own.
+
+    A ring of the states at each tick. One thread appends; any number of threads wait and look.
+    """
+
+    def __init__(self, robots: int, start_ns: int, creatures: int = 0) -> None:
+        self._rows = np.zeros((SPAN, robots, 12))  # position, quaternion, pan and tilt of camera and lamp, light
+        self._swum = np.zeros((SPAN, creatures, len(Attitude._fields)))
+        self._start_ns = start_ns
+        self._newest = -1
+        self._closed = False
+        self._changed = threading.Condition()
+        self._awaited_ns: float = np.inf  # earliest time that a thread waits for: no wake-up before that
+
+    def append(self, states: NDArray[np.void], creatures: Sequence[Attitude] = (), lamps: ArrayLike = 0.0) -> None:
+        """The states one tick after those appended before; `lamps` (robots,): their light."""
+        with self._changed:
+            self._newest += 1
+            row = self._rows[self._newest % SPAN]
+            row[:, :3], row[:, 3:7], row[:, 7:11] = states["position_m"], states["quaternion"], states["shaft_deg"]
+            row[:, 11] = lamps
+            if creatures:
+                self._swum[self._newest % SPAN] = creatures
+            if self.newest_ns >= self._awaited_ns:
+                self._awaited_ns = np.inf
+                self._changed.notify_all()
+
+    @property
+    def newest_ns(self) -> int:
+        return self._start_ns + self._newest * TICK_NS
+
+    def wait(self, t_ns: int) -> None:
+        """Return once the water has moved on to t_ns. Raises CameraGone when the twin ends before."""
+        with self._changed:
+            while self.newest_ns < t_ns and not self._closed:
+                self._awaited_ns = min(self._awaited_ns, t_ns)
+                self._changed.wait()
+            if self._closed:
+                raise CameraGone("the twin has ended; start it again")
+
+    def at(self, t_ns: int) -> list[RobotPose]:
+        """The pose of each robot at t_ns, interpolated between ticks.
+
+        Raises CameraGone for a time that is not, or no longer, kept: the reader was stopped for too long.
+        """
+        # A tick turns a robot by a degree at most: the quaternions' mean is as good as the arc between them.
+        rows = self._between(self._rows, t_ns)
+        return [RobotPose(row[:3], matrix(row[3:7]), *row[7:].tolist()) for row in rows]
+
+    def creatures_at(self, t_ns: int) -> list[Attitude]:
+        """The attitude of each creature, as `at`."""
+        return [Attitude(*row) for row in self._between(self._swum, t_ns).tolist()]
+
+    def _between(self, kept: NDArray[np.float64], t_ns: int) -> NDArray[np.float64]:
+        with self._changed:
+            k, rest_ns = divmod(t_ns - self._start_ns, TICK_NS)
+            oldest = max(self._newest - SPAN + 1, 0)
+            if not oldest <= k < self._newest + (rest_ns == 0):
+                raise CameraGone(f"no pose is kept of {t_ns} ns; ask again")
+            before, after = kept[k % SPAN], kept[(k + (rest_ns > 0)) % SPAN]
+            return np.asarray(before + (rest_ns / TICK_NS) * (after - before))
+
+    def close(self) -> None:
+        """End all waits, with CameraGone."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+
+
+# --- pace: by a clock that agents follow, or as fast as every firmware answers ---
 
 LOCK_STEP_S = 5.0  # in virtual time a firmware that is silent for longer is taken for dead
-UNREAD_NS = 25_000_000  # how long bytes may lie at the agent's end of a cable before time waits for who reads them
+UNREAD_NS = 25_000_000  # how long bytes may lie at the agent's end of a cable before time waits for their reader
 
 
 def run_by_clock(dive: Dive, keeper: Keeper, stop: threading.Event) -> None:
@@ -455,7 +459,7 @@ def run_by_clock(dive: Dive, keeper: Keeper, stop: threading.Event) -> None:
 
 
 class PortLimit:
-    """How far time may go before an agent has taken what lies at its end of the cable; anywhere if nobody is there."""
+    """How far time may go before an agent has taken what lies at its end of the cable; without an agent, anywhere."""
 
     def __init__(self, part: str, board: Board, dive: Dive, keeper: Keeper) -> None:
         self._part, self._board, self._dive, self._keeper = part, board, dive, keeper
@@ -470,7 +474,7 @@ class PortLimit:
 
 
 def run_in_lock_step(dive: Dive, ticks: int) -> None:
-    """Tick as fast as every firmware answers. Raises TimeoutError naming one that does not."""
+    """Tick as fast as every firmware answers, for experiments. Raises TimeoutError naming one that does not."""
     for _ in range(ticks):
         dive.tick(LOCK_STEP_S)
         for board in dive.boards:

@@ -15,11 +15,15 @@ from msgspec import Meta
 from agent.core.config import Colour, ConfigError, Fleet, Name, Positive, Struct, WaterKind, convert, read_toml
 from agent.core.messages import Vector
 
-# --- faults ---
-# What happens in a dive, each at its time and most of it to one robot: the [[event]] tables of a scene file, as data,
-# and the rules for them. hw.twin.dive applies them.
+# --- events: what happens in a dive, each at its time and most of it to one robot ---
 #
-# [[event]] at_s = 40.0           # since the twin began kind = "serial_unplug" robot = "r1" for_s = 5.0
+# hw.twin.dive applies them.
+#
+# [[event]]
+# at_s = 40.0           # since the twin began
+# kind = "serial_unplug"
+# robot = "r1"
+# for_s = 5.0
 
 Sensor = Annotated[int, Meta(ge=1, le=4)]
 Thruster = Annotated[int, Meta(ge=1, le=8)]
@@ -110,7 +114,7 @@ class SlowBoard(Fault, frozen=True, kw_only=True, tag="slow_board"):
 
 
 class TetherPull(Fault, frozen=True, kw_only=True, tag="tether_pull"):
-    """Something tugs at the tether, horizontally and at random; what the scene says of that is silent meanwhile."""
+    """Something tugs at the tether, horizontally and at random; meanwhile the scene's own pull rests."""
 
     force_n: Annotated[float, Meta(ge=0)]  # root of the mean square
     correlation_s: Positive = 4.0
@@ -206,7 +210,6 @@ def check(
 
 SCENES = Path(str(resources.files("hw.twin") / "scenes"))  # those that ship with the package
 
-
 BESIDE_M = 0.12  # camera to lamp, where the fleet file says nothing of lamps
 
 Coefficient = Annotated[float, Meta(gt=0, le=20)]
@@ -225,7 +228,7 @@ class Solid(Struct, frozen=True, kw_only=True):
     """An ellipsoid or a box that stands where it is put. The agents' targets are among these."""
 
     kind: Literal["ball", "stone", "box"]
-    name: str | None = None  # of a target that robots know from a picture: what tells who judges which one it was
+    name: str | None = None  # of a target that robots know from a picture: the evaluation tells by it which one it was
     colour: Colour = "red"  # of a ball; stones and boxes are grey
     position_m: tuple[float, float, float]
     radii_m: tuple[Positive, Positive, Positive]  # of a box half its length, breadth and height
@@ -237,7 +240,7 @@ class Creature(Struct, frozen=True, kw_only=True):
 
     name: Name
     colour: Literal["orange", "silver", "brown"] = "orange"
-    like: Name | None = None  # a creature whose very blotches it has too: to tell them apart, one must have followed
+    like: Name | None = None  # a creature with the same blotches: only a robot that has followed both tells them apart
     length_m: Annotated[float, Meta(ge=0.05, le=0.4)] = 0.15
     speed_m_s: Annotated[float, Meta(gt=0, le=0.5)] = 0.15  # while it cruises
     path: Literal["wander"] | Annotated[tuple[Vector, ...], Meta(min_length=2)] = "wander"  # or round and round
@@ -259,7 +262,7 @@ class Current(Struct, frozen=True, kw_only=True):
 
 
 class Pull(Struct, frozen=True, kw_only=True):
-    """What tugs at a robot's tether: horizontal, at random, with the time after which it has forgotten itself."""
+    """What tugs at a robot's tether: horizontal, at random, with a correlation time."""
 
     force_n: Annotated[float, Meta(ge=0)] = 0.0  # root of the mean square
     correlation_s: Positive = 4.0
@@ -335,7 +338,7 @@ def lamp_place(fleet: Fleet, scene: Scene) -> Vector | None:
 
 
 def put_off(sigma: StartSigma, said: tuple[float, float, float], seed: int, robot: str) -> tuple[float, float, float]:
-    """Where the crew really puts a robot (x_m, y_m, yaw_deg) that shall start as `said`: two sigma off at most."""
+    """Where the crew really puts a robot (x_m, y_m, yaw_deg) that is to start as `said`: two sigma off at most."""
     if not (sigma.place_m or sigma.yaw_deg):
         return said
     off = np.clip(generator(seed, robot, "start").standard_normal(3), -2, 2)
@@ -346,3 +349,49 @@ def put_off(sigma: StartSigma, said: tuple[float, float, float], seed: int, robo
 def generator(seed: int, *names: str) -> np.random.Generator:
     """The random stream of one purpose ('r1', 'lens'): adding a purpose never changes another's numbers."""
     return np.random.Generator(np.random.PCG64([seed, *(zlib.crc32(name.encode()) for name in names)]))
+
+
+# --- targets of a fleet in a scene ---
+
+
+def target_solids(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Solid]:
+    """A ball is known by its colour, a box target by its name, where the scene has one of the target's name.
+
+    Raises ConfigError when the scene has no ball, or two, of the colour, or two solids of the name.
+    """
+    found = {}
+    for name, target in fleet.target.items():
+        if target.detector == "creature":
+            continue
+        if target.detector == "ball":
+            what = f"{target.ball_colour} {target.detector}"
+            like = [s for s in scene.solid if (s.kind, s.colour) == (target.detector, target.ball_colour)]
+            remedy = "take another colour, or another scene in [twin]"
+        else:
+            what, like = f"solid called {name}", [s for s in scene.solid if s.name == name]
+            remedy = "give each a name of its own"
+            if not like:
+                continue
+        if len(like) != 1:
+            raise ConfigError(
+                f"{fleet_path}: key 'target.{name}': scene '{scene.name}' has {len(like)} times a {what}; {remedy}"
+            )
+        found[name] = like[0]
+    return found
+
+
+def target_creatures(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Creature]:
+    """A creature is known by its name. A box target too may be one, where no solid has its name.
+
+    Raises ConfigError for a target that is one and has no speed in the fleet file: no robot could follow it.
+    """
+    swimming = {creature.name: creature for creature in scene.creature}
+    found = {
+        name: swimming[name] for name, target in fleet.target.items() if name in swimming and target.detector != "ball"
+    }
+    for name in found:
+        if fleet.target[name].speed_m_s is None:
+            raise ConfigError(
+                f"{fleet_path}: key 'target.{name}': it swims in scene '{scene.name}'; add `speed_m_s` and `turn_s`"
+            )
+    return found

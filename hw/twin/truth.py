@@ -1,7 +1,8 @@
-"""What really happened in a dive, for who judges it and never for an agent: truth.json, and of robots that swim paths.
+"""The truth about a dive: where tags, solids and targets really are, and where robots that swim really went.
 
-truth.json is there from the start. paths.csv grows and separation.json is written at the end; both stay until the
-folder's next twin. Lengths in metres, angles in degrees, times in ns of the dive's clock.
+It is for the twin itself and for the evaluation of a dive, never for an agent. Of the files in the twin's folder,
+truth.json is there from the start, paths.csv grows, and separation.json is written at the end; the last two stay until
+the folder's next twin. Lengths in metres, angles in degrees, times in ns of the dive's clock.
 """
 
 from __future__ import annotations
@@ -15,18 +16,17 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.config import ConfigError, Face, Fleet, Landmarks, Tag
+from agent.core.config import Face, Fleet, Landmarks, Tag
 from agent.core.messages import Vector
 from hw.twin.physics.body import HULL_M, euler_rad, matrix, quaternion
 from hw.twin.physics.forces import RING_M
-from hw.twin.scene import Creature, Scene, Solid, generator
+from hw.twin.scene import Scene, Solid, generator
 
-# --- landmarks ---
-# Where the tags of a fleet file truly are: where it says, give or take its survey's errors. Hidden from the agents.
+# --- tags: where the fleet file says, give or take its survey's errors ---
 #
-# A tag's own axes are right, up and out of its face, towards who looks at it.
+# A tag's own axes are right, up and out of its face, towards its viewer.
 
-SIZE_SPREAD = 0.001  # of the printer's scale, at most; the fleet file's size is what somebody measured
+SIZE_SPREAD = 0.001  # of the printer's scale, at most; the fleet file's size is as measured
 
 # The directions out of each face and up on it, in the world.
 OUT_AND_UP: dict[Face, tuple[tuple[float, float, float], tuple[float, float, float]]] = {
@@ -76,7 +76,77 @@ def _turned(*angles_deg: float) -> NDArray[np.float64]:
     return matrix(quaternion(roll, pitch, yaw))
 
 
-# --- the truth ---
+def tags_as_json(tags: Sequence[PaintedTag]) -> dict[str, Any]:
+    """Where the tags truly are, by id: middle, axes (right, up, out as columns) and black edge to black edge."""
+    return {
+        str(tag.id): {"position_m": tag.position_m.tolist(), "rotation": tag.rotation.tolist(), "size_m": tag.size_m}
+        for tag in tags
+    }
+
+
+# --- stage ---
+
+
+class Move(NamedTuple):
+    """One solid's way: straight, at one speed."""
+
+    solid: int
+    from_m: Vector
+    to_m: Vector
+    start_ns: int
+    end_ns: int
+
+    def at(self, t_ns: int) -> Vector:
+        share = min(max((t_ns - self.start_ns) / (self.end_ns - self.start_ns), 0.0), 1.0)
+        x, y, z = (a + share * (b - a) for a, b in zip(self.from_m, self.to_m, strict=True))
+        return x, y, z
+
+
+class Stage:
+    """What stands in the tank at each time: solids that events move, tags that events take away.
+
+    The answer about a time that has not passed may change later. One thread changes the stage.
+    """
+
+    def __init__(self, solids: Sequence[Solid], tags: Sequence[PaintedTag]) -> None:
+        self._solids, self._tags = tuple(solids), tuple(tags)
+        self._moves: list[Move] = []  # in order of time; a later one of the same solid ends the one before
+        self._lost_ns: dict[int, int] = {}
+
+    def move(self, solid: int, to_m: Vector, now_ns: int, over_s: float) -> None:
+        """Move a solid from where it is, from now on."""
+        here_m = self.solids(now_ns)[solid].position_m
+        self._moves.append(Move(solid, here_m, to_m, now_ns, now_ns + round(over_s * 1e9)))
+
+    def lose_tag(self, number: int, now_ns: int) -> None:
+        self._lost_ns.setdefault(number, now_ns)
+
+    def solids(self, t_ns: int) -> tuple[Solid, ...]:
+        """All solids, in the order of the scene."""
+        standing = list(self._solids)
+        for move in self._moves:
+            if t_ns >= move.start_ns:
+                standing[move.solid] = msgspec.structs.replace(self._solids[move.solid], position_m=move.at(t_ns))
+        return tuple(standing)
+
+    def tags(self, t_ns: int) -> tuple[PaintedTag, ...]:
+        """The tags that are still there."""
+        if not self._lost_ns:
+            return self._tags
+        return tuple(tag for tag in self._tags if self._lost_ns.get(tag.id, t_ns + 1) > t_ns)
+
+
+# --- solids that an event may move ---
+
+
+def movable(fleet: Fleet, scene: Scene) -> list[int]:
+    """Numbers of the solids that an event may move: stones, but for targets, whose place truth.json tells."""
+    return [
+        i for i, s in enumerate(scene.solid) if s.kind == "stone" and (s.name is None or s.name not in fleet.target)
+    ]
+
+
+# --- paths and separation of robots that swim ---
 
 PATHS, SEPARATION = "paths.csv", "separation.json"
 HEAD = "t_ns,robot,x_m,y_m,z_m,roll_deg,pitch_deg,yaw_deg,pan_deg,tilt_deg"
@@ -87,7 +157,7 @@ FLUSH = 20  # looks, a second
 class Separation(msgspec.Struct):
     """How close robots came to each other and to walls; horizontal distances, for tethers do not pass each other."""
 
-    least_m: float | None = None  # centre to centre; None: nobody was alone with anybody
+    least_m: float | None = None  # centre to centre; None: there were no two robots
     between: tuple[str, str] | None = None
     at_ns: int | None = None
     ring_overlaps: int = 0  # times that the thruster rings of two robots came to overlap
@@ -147,116 +217,3 @@ class Watch:
 def _pose(state: np.void) -> list[float]:
     angles_deg = np.degrees(euler_rad(state["quaternion"]))
     return [*state["position_m"], *angles_deg, *state["shaft_deg"][:2]]
-
-
-def tags_as_json(tags: Sequence[PaintedTag]) -> dict[str, Any]:
-    """Where the tags truly are, by id: middle, axes (right, up, out as columns) and black edge to black edge."""
-    return {
-        str(tag.id): {"position_m": tag.position_m.tolist(), "rotation": tag.rotation.tolist(), "size_m": tag.size_m}
-        for tag in tags
-    }
-
-
-# --- what stands when ---
-# What stands in the tank at each time: solids that events move, tags that events take away.
-
-
-class Move(NamedTuple):
-    """One solid's way: straight, at one speed."""
-
-    solid: int
-    from_m: Vector
-    to_m: Vector
-    start_ns: int
-    end_ns: int
-
-    def at(self, t_ns: int) -> Vector:
-        share = min(max((t_ns - self.start_ns) / (self.end_ns - self.start_ns), 0.0), 1.0)
-        x, y, z = (a + share * (b - a) for a, b in zip(self.from_m, self.to_m, strict=True))
-        return x, y, z
-
-
-class Stage:
-    """Whoever asks about a time that has not passed may get another answer later. One thread changes it."""
-
-    def __init__(self, solids: Sequence[Solid], tags: Sequence[PaintedTag]) -> None:
-        self._solids, self._tags = tuple(solids), tuple(tags)
-        self._moves: list[Move] = []  # in order of time; a later one of the same solid ends the one before
-        self._lost_ns: dict[int, int] = {}
-
-    def move(self, solid: int, to_m: Vector, now_ns: int, over_s: float) -> None:
-        """Move a solid from where it is, from now on."""
-        here_m = self.solids(now_ns)[solid].position_m
-        self._moves.append(Move(solid, here_m, to_m, now_ns, now_ns + round(over_s * 1e9)))
-
-    def lose_tag(self, number: int, now_ns: int) -> None:
-        self._lost_ns.setdefault(number, now_ns)
-
-    def solids(self, t_ns: int) -> tuple[Solid, ...]:
-        """All solids, in the order of the scene."""
-        standing = list(self._solids)
-        for move in self._moves:
-            if t_ns >= move.start_ns:
-                standing[move.solid] = msgspec.structs.replace(self._solids[move.solid], position_m=move.at(t_ns))
-        return tuple(standing)
-
-    def tags(self, t_ns: int) -> tuple[PaintedTag, ...]:
-        """The tags that are still there."""
-        if not self._lost_ns:
-            return self._tags
-        return tuple(tag for tag in self._tags if self._lost_ns.get(tag.id, t_ns + 1) > t_ns)
-
-
-# --- targets ---
-# Which solid or creature of the scene each target of a fleet is: known to the twin and to who judges a dive, never to
-# an agent.
-
-
-def target_solids(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Solid]:
-    """A ball is known by its colour, a thing in a box by its name, where the scene has one of the target's name.
-
-    Raises ConfigError when the scene has no ball, or two, of the colour, or two solids of the name.
-    """
-    found = {}
-    for name, target in fleet.target.items():
-        if target.detector == "creature":
-            continue
-        if target.detector == "ball":
-            what = f"{target.ball_colour} {target.detector}"
-            like = [s for s in scene.solid if (s.kind, s.colour) == (target.detector, target.ball_colour)]
-            remedy = "take another colour, or another scene in [twin]"
-        else:
-            what, like = f"solid called {name}", [s for s in scene.solid if s.name == name]
-            remedy = "give each a name of its own"
-            if not like:
-                continue
-        if len(like) != 1:
-            raise ConfigError(
-                f"{fleet_path}: key 'target.{name}': scene '{scene.name}' has {len(like)} times a {what}; {remedy}"
-            )
-        found[name] = like[0]
-    return found
-
-
-def target_creatures(fleet: Fleet, scene: Scene, fleet_path: Path) -> dict[str, Creature]:
-    """A creature is known by its name. A box target too may be one, where no solid has its name.
-
-    Raises ConfigError for a target that is one and of which nobody says how fast it swims: nobody could follow it.
-    """
-    swimming = {creature.name: creature for creature in scene.creature}
-    found = {
-        name: swimming[name] for name, target in fleet.target.items() if name in swimming and target.detector != "ball"
-    }
-    for name in found:
-        if fleet.target[name].speed_m_s is None:
-            raise ConfigError(
-                f"{fleet_path}: key 'target.{name}': it swims in scene '{scene.name}'; add `speed_m_s` and `turn_s`"
-            )
-    return found
-
-
-def movable(fleet: Fleet, scene: Scene) -> list[int]:
-    """Numbers of the solids that an event may move: stones, but for those that are a target, whose place is told."""
-    return [
-        i for i, s in enumerate(scene.solid) if s.kind == "stone" and (s.name is None or s.name not in fleet.target)
-    ]

@@ -14,7 +14,7 @@ from agent.core.config import ConfigError, Fleet
 # sockaddr_un holds 108 bytes including the final zero (Linux unix(7)); the longest name is a robot's plus ".camera".
 LONGEST_FOLDER = 107 - len("/") - 16 - len(".camera")
 
-RESULTS = ("paths.csv", "separation.json", "creatures.csv", "boxes.csv")  # stay for who judges, until the next dive
+RESULTS = ("paths.csv", "separation.json", "creatures.csv", "boxes.csv")  # stay for the evaluation, until the next dive
 RUN_FILES = ("*.serial", "*.camera", "*.bench", "*.flash.json", "*.firmware.log", "truth.json", "ready")
 
 
@@ -26,7 +26,7 @@ def twin_dir(fleet: Fleet) -> Path:
 
 
 def clock_path(fleet: Fleet) -> Path:
-    """The clock of a fleet's dive. It stays when the twin ends, for those who outlive it and for the next twin."""
+    """The clock of a fleet's dive. It stays when the twin ends, for agents that outlive it and for the next twin."""
     return twin_dir(fleet) / "clock"
 
 
@@ -35,7 +35,7 @@ def locked(folder: Path) -> Iterator[Path]:
     """Hold the folder for one twin: emptied of an earlier run's files at the start, and of this run's but for its
     RESULTS at the end.
 
-    Raises ConfigError when another twin holds it, when it is not ours, or when its path is too long for a socket.
+    Raises ConfigError when another twin holds it, when it is another user's, or when its path is too long for a socket.
     """
     if len(os.fsencode(folder)) > LONGEST_FOLDER:
         raise ConfigError(

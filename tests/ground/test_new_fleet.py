@@ -14,8 +14,7 @@ from agent.ground.new_fleet import MOST, fleet_name, write_fleet
 from agent.process.command import shipped_fleet, shipped_names
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.physics.body import HULL_M
-from hw.twin.scene import Scene, scene_of
-from hw.twin.truth import target_solids
+from hw.twin.scene import Scene, scene_of, target_solids
 
 SEES_DEG = 12.0  # to the side, of a camera of 640 pixels with 1170 px of focal length: 15
 REACH_M = 0.10  # from the body's centre to its camera

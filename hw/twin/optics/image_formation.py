@@ -1,7 +1,4 @@
-"""Radiance to bytes: photon and read noise, a 12-bit converter, gamma, 8 bits.
-
-The noise of a pixel is a function of (seed, robot, tick, pixel) alone: what else was read does not change it.
-"""
+"""From the radiance of a sharp picture to the bytes of a frame: motion blur, blur by the lens, sensor and metering."""
 
 from __future__ import annotations
 
@@ -18,77 +15,7 @@ from numpy.typing import NDArray
 from hw.twin.optics.lens import Lens
 from hw.twin.optics.raycast import ONE, ZERO, F, Floats, Moment, inlined, kernel
 
-FULL_WELL = 4000.0  # electrons; the shot noise of a pixel at full scale is its root
-READ_NOISE = 0.004  # of full scale
-ADC = 4095  # largest code
-GAMMA = 2.2
-
-INVERSE_WELL, READ_VARIANCE = np.float32(1 / FULL_WELL), np.float32(READ_NOISE**2)
-FULL_SCALE, HALF = np.float32(ADC), np.float32(0.5)
-# Steele, Lea and Flood 2014 (SplitMix64): one 64-bit hash a pixel, 12 bits a colour.
-GOLDEN, MIX1, MIX2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
-S24, S27, S30, S31, S40 = (np.uint64(bits) for bits in (24, 27, 30, 31, 40))
-MASK12 = np.uint64(0xFFF)
-
-
-@lru_cache(maxsize=1)
-def normal_quantiles() -> Floats:
-    """(4096,) the normal distribution in equal shares, unit deviation: a 12-bit number looks up its noise."""
-    quantiles = np.array([NormalDist().inv_cdf((i + 0.5) / 4096) for i in range(4096)])
-    return np.asarray(quantiles / quantiles.std(), np.float32)
-
-
-@lru_cache(maxsize=1)
-def gamma_curve() -> NDArray[np.uint8]:
-    """(4096,) converter code to byte."""
-    return np.round(255 * (np.arange(ADC + 1) / ADC) ** (1 / GAMMA)).astype(np.uint8)
-
-
-def noise_key(seed: int, robot: str, tick: int) -> np.uint64:
-    state = np.random.SeedSequence([seed, zlib.crc32(robot.encode()), tick]).generate_state(1, np.uint64)
-    return np.uint64(state[0])
-
-
-class Exposure(NamedTuple):
-    """How one frame is taken."""
-
-    scale: F  # share of full scale for a radiance of 1
-    gain: F = ONE  # of the amplifier: the variance of all noise grows with it, in shares of full scale
-    open_ns: int | None = None  # how long the shutter is open; None: as the camera does by itself
-
-
-@kernel
-def expose(
-    picture: Floats,
-    scale: F,
-    gain: F,
-    key: np.uint64,
-    x0: int,
-    y0: int,
-    full_width: int,
-    normal: Floats,
-    curve: NDArray[np.uint8],
-    image: NDArray[np.uint8],
-) -> None:
-    """Fill image (h, w, 3) from picture (h, w, 3); (x0, y0) is its place in the full frame.
-
-    At gain g a converter is full at 1/g of the well, and read noise is READ_NOISE / sqrt(g) in electrons.
-    """
-    for row in range(image.shape[0]):
-        for col in range(image.shape[1]):
-            z = key + np.uint64((y0 + row) * full_width + x0 + col) * GOLDEN
-            z = (z ^ (z >> S30)) * MIX1
-            z = (z ^ (z >> S27)) * MIX2
-            z ^= z >> S31
-            for c in range(3):
-                bits = (z if c == 0 else (z >> S24 if c == 1 else z >> S40)) & MASK12
-                light = max(picture[row, col, c], ZERO) * scale
-                light += math.sqrt((light * INVERSE_WELL + READ_VARIANCE) * gain) * normal[bits]
-                image[row, col, c] = curve[int(min(max(light, ZERO), ONE) * FULL_SCALE + HALF)]
-
-
-# --- motion ---
-# Motion blur: how far the picture moves while the shutter is open, and in how many parts the exposure is drawn.
+# --- motion blur: in how many parts an exposure is drawn ---
 
 During = Callable[[float], Moment]  # the world at a share of the exposure, from -0.5, its start, to 0.5, its end
 
@@ -121,43 +48,7 @@ def _places_m(moment: Moment) -> list[NDArray[np.float64]]:
     return solids + hulls + parts
 
 
-# --- exposure in the dark ---
-# Exposure as a camera module sets it in the dark: longer, until it lasts a whole frame, then more gain.
-#
-# It follows the scene at once, as a module that has settled; one that still settles would change its picture in the
-# middle of a sweep, and is locked by whoever sweeps.
-
-FRAME_NS = 1_000_000_000 // 30
-ELECTRONS = 3.4e5  # of a pixel for each W/m2/sr in a colour, exposed for FRAME_NS
-MAX_GAIN = 8.0  # analogue; in front of the converter, so that the converter's share of the read noise falls
-LEVEL, BRIGHTEST = 0.8, 0.99  # of full scale, for the brightest 1 % of the picture's pixels in any colour
-SHORTEST_NS = 20_000
-METERING_STEP_PX = 16  # pixels of a frame, each way, in one of the picture that is metered
-
-
-def meter(radiance: Floats) -> Exposure:
-    """For a picture (h, w, 3) in W/m2/sr, however coarse."""
-    top = float(np.quantile(radiance.max(axis=2), BRIGHTEST)) * ELECTRONS
-    wanted = LEVEL * FULL_WELL / max(top, 1e-9)
-    open_ns = min(max(round(min(wanted, 1.0) * FRAME_NS), SHORTEST_NS), FRAME_NS)
-    share = open_ns / FRAME_NS
-    gain = min(max(wanted / share, 1.0), MAX_GAIN)
-    return Exposure(np.float32(ELECTRONS * share * gain / FULL_WELL), np.float32(gain), open_ns)
-
-
-def coarse(lens: Lens) -> Lens:
-    """The same camera with pixels so large."""
-    x, y = ((c + 0.5) / METERING_STEP_PX - 0.5 for c in lens.centre_px)
-    return lens._replace(
-        pixel_m=lens.pixel_m * METERING_STEP_PX,
-        width=lens.width // METERING_STEP_PX,
-        height=lens.height // METERING_STEP_PX,
-        centre_px=(x, y),
-    )
-
-
-# --- disks ---
-# The disks that a blur is summed over: where their taps are, and what they weigh.
+# --- disks: the taps that a blur is summed over, and their weights ---
 
 Ints = NDArray[np.int64]
 
@@ -205,8 +96,7 @@ def _cubic(t: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.where(t < 1, (1.5 * t - 2.5) * t * t + 1, np.where(t < 2, ((-0.5 * t + 2.5) * t - 4) * t + 2, 0))
 
 
-# --- defocus ---
-# Blur by the lens: every pixel is the mean of the sharp picture over its own circle of confusion.
+# --- defocus: every pixel is the mean of the sharp picture over its own circle of confusion ---
 #
 # CoC_px = (A v / p) |X - 1/s|,  X = 1/f - 1/v,  A = f/N,  s the apparent distance (thin lens, written in vergence). A
 # pixel takes its circle from its own depth (gather), so next to a depth edge the halo of a blurred near object on a
@@ -372,3 +262,111 @@ def _doubled(coarse: Floats, j: int, i: int, c: int) -> F:
     y2, x2 = y + 2 * (j & 1) - 1, x + 2 * (i & 1) - 1
     here = NEAR * coarse[y, x, c] + QUARTER * coarse[y, x2, c]
     return NEAR * here + QUARTER * (NEAR * coarse[y2, x, c] + QUARTER * coarse[y2, x2, c])
+
+
+# --- sensor: photon and read noise, a 12-bit converter, gamma, 8 bits ---
+#
+# The noise of a pixel is a function of (seed, robot, tick, pixel) alone: what else was read does not change it.
+
+FULL_WELL = 4000.0  # electrons; the shot noise of a pixel at full scale is its root
+READ_NOISE = 0.004  # of full scale
+ADC = 4095  # largest code
+GAMMA = 2.2
+
+INVERSE_WELL, READ_VARIANCE = np.float32(1 / FULL_WELL), np.float32(READ_NOISE**2)
+FULL_SCALE, HALF = np.float32(ADC), np.float32(0.5)
+# Steele, Lea and Flood 2014 (SplitMix64): one 64-bit hash a pixel, 12 bits a colour.
+GOLDEN, MIX1, MIX2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
+S24, S27, S30, S31, S40 = (np.uint64(bits) for bits in (24, 27, 30, 31, 40))
+MASK12 = np.uint64(0xFFF)
+
+
+@lru_cache(maxsize=1)
+def normal_quantiles() -> Floats:
+    """(4096,) the normal distribution in equal shares, unit deviation: a 12-bit number looks up its noise."""
+    quantiles = np.array([NormalDist().inv_cdf((i + 0.5) / 4096) for i in range(4096)])
+    return np.asarray(quantiles / quantiles.std(), np.float32)
+
+
+@lru_cache(maxsize=1)
+def gamma_curve() -> NDArray[np.uint8]:
+    """(4096,) converter code to byte."""
+    return np.round(255 * (np.arange(ADC + 1) / ADC) ** (1 / GAMMA)).astype(np.uint8)
+
+
+def noise_key(seed: int, robot: str, tick: int) -> np.uint64:
+    state = np.random.SeedSequence([seed, zlib.crc32(robot.encode()), tick]).generate_state(1, np.uint64)
+    return np.uint64(state[0])
+
+
+class Exposure(NamedTuple):
+    """How one frame is taken."""
+
+    scale: F  # share of full scale for a radiance of 1
+    gain: F = ONE  # of the amplifier: the variance of all noise grows with it, in shares of full scale
+    open_ns: int | None = None  # how long the shutter is open; None: as the camera does by itself
+
+
+@kernel
+def expose(
+    picture: Floats,
+    scale: F,
+    gain: F,
+    key: np.uint64,
+    x0: int,
+    y0: int,
+    full_width: int,
+    normal: Floats,
+    curve: NDArray[np.uint8],
+    image: NDArray[np.uint8],
+) -> None:
+    """Fill image (h, w, 3) from picture (h, w, 3); (x0, y0) is its place in the full frame.
+
+    At gain g a converter is full at 1/g of the well, and read noise is READ_NOISE / sqrt(g) in electrons.
+    """
+    for row in range(image.shape[0]):
+        for col in range(image.shape[1]):
+            z = key + np.uint64((y0 + row) * full_width + x0 + col) * GOLDEN
+            z = (z ^ (z >> S30)) * MIX1
+            z = (z ^ (z >> S27)) * MIX2
+            z ^= z >> S31
+            for c in range(3):
+                bits = (z if c == 0 else (z >> S24 if c == 1 else z >> S40)) & MASK12
+                light = max(picture[row, col, c], ZERO) * scale
+                light += math.sqrt((light * INVERSE_WELL + READ_VARIANCE) * gain) * normal[bits]
+                image[row, col, c] = curve[int(min(max(light, ZERO), ONE) * FULL_SCALE + HALF)]
+
+
+# --- metering: exposure as a camera module sets it in the dark ---
+#
+# The exposure gets longer, until it lasts a whole frame; then the gain gets higher. It follows the scene at once, as in
+# a module that has settled. A module that still settles would change its picture in the middle of a sweep, and is
+# locked by the program that sweeps.
+
+FRAME_NS = 1_000_000_000 // 30
+ELECTRONS = 3.4e5  # of a pixel for each W/m2/sr in a colour, exposed for FRAME_NS
+MAX_GAIN = 8.0  # analogue; in front of the converter, so that the converter's share of the read noise falls
+LEVEL, BRIGHTEST = 0.8, 0.99  # of full scale, for the brightest 1 % of the picture's pixels in any colour
+SHORTEST_NS = 20_000
+METERING_STEP_PX = 16  # pixels of a frame, each way, in one of the picture that is metered
+
+
+def meter(radiance: Floats) -> Exposure:
+    """For a picture (h, w, 3) in W/m2/sr, however coarse."""
+    top = float(np.quantile(radiance.max(axis=2), BRIGHTEST)) * ELECTRONS
+    wanted = LEVEL * FULL_WELL / max(top, 1e-9)
+    open_ns = min(max(round(min(wanted, 1.0) * FRAME_NS), SHORTEST_NS), FRAME_NS)
+    share = open_ns / FRAME_NS
+    gain = min(max(wanted / share, 1.0), MAX_GAIN)
+    return Exposure(np.float32(ELECTRONS * share * gain / FULL_WELL), np.float32(gain), open_ns)
+
+
+def coarse(lens: Lens) -> Lens:
+    """The same camera with pixels METERING_STEP_PX as large."""
+    x, y = ((c + 0.5) / METERING_STEP_PX - 0.5 for c in lens.centre_px)
+    return lens._replace(
+        pixel_m=lens.pixel_m * METERING_STEP_PX,
+        width=lens.width // METERING_STEP_PX,
+        height=lens.height // METERING_STEP_PX,
+        centre_px=(x, y),
+    )

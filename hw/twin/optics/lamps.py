@@ -49,15 +49,89 @@ from hw.twin.optics.veil import (
     scattering,
 )
 
-# --- light ---
-# Light of lamps on surfaces: from each lamp through the water to what a pixel shows, and from there to the camera.
+# --- lamps of one moment ---
+
+Part = tuple[int, int, int, int]  # x, y, width, height in the full frame
+
+FAREST_M = 4.0  # z-depth that the veil is added up to; behind it as much lies in front of everything
+
+
+class LampTables(NamedTuple):
+    water: Scattering
+    beam: Floats
+    ways: Ways
+    neutral: ShadingTables  # shade() draws albedo with it: no water, a room of light 1
+
+
+def lamp_tables(
+    absorption_per_m: tuple[float, ...],
+    scattering_per_m: tuple[float, ...],
+    shading: ShadingTables,
+    water: Scattering | None = None,
+) -> LampTables:
+    """`water`: another table of scattering; None: all orders of scattering."""
+    water = water or scattering(absorption_per_m, scattering_per_m)
+    extinct = np.asarray(absorption_per_m) + np.asarray(scattering_per_m)
+    lengths = len(shading.path)
+    ways = Ways(transmission(water.extinct, lengths), transmission(extinct, lengths))
+    path = np.zeros_like(shading.path)
+    path[:, :3] = 1
+    return LampTables(water, beam_table(), ways, shading._replace(path=path, day=np.ones_like(shading.day)))
+
+
+def transmission(extinct_per_m: NDArray[Any], lengths: int) -> Floats:
+    """(lengths, 3) over n / PER_M metres."""
+    length_m = np.arange(lengths)[:, None] / float(PER_M)
+    return np.exp(-np.asarray(extinct_per_m, float) * length_m).astype(np.float32)
+
+
+def beams_of(moment: Moment, view: View) -> Beams:
+    """The moment's lamps, and what may throw shadows: all solids, hulls and creatures, and the camera's own robot."""
+    camera = affine(moment.eye.rotation, moment.eye.position_m)
+    bodies = [
+        (np.asarray(s.position_m, float), max(s.radii_m) * (3**0.5 if s.kind == "box" else 1)) for s in moment.solids
+    ]
+    bodies += [(np.asarray(h.position_m, float), max(HULL_RADII_M)) for h in moment.hulls]
+    bodies += [(np.asarray(p.position_m, float), max(p.radii_m)) for c in moment.creatures for p in c.parts]
+    maps, cubes = view.solids.astype(float), view.cubes
+    if moment.own_hull is not None:
+        hull = moment.own_hull
+        bodies.append((np.asarray(hull.position_m, float), max(HULL_RADII_M)))
+        own = relative(hull.rotation, hull.position_m, camera) / np.array(HULL_RADII_M)[:, None]
+        maps, cubes = np.concatenate([maps, own[None]]), np.append(cubes, 0)
+    return make_beams(moment.lamps, camera, bodies, maps, cubes)
+
+
+def add_lamps(
+    tables: LampTables,
+    moment: Moment,
+    view: View,
+    part: Part,
+    full_width: int,
+    depth: Floats,
+    identity: Identities,
+    albedo: Floats,
+    picture: Floats,
+) -> None:
+    """Add light and veil of the moment's lamps to picture (h, w, 3), a part of the frame of which trace() has found
+    depth and identity, and shade() with tables.neutral the albedo."""
+    beams = beams_of(moment, view)
+    x, y = part[:2]
+    light_up(view, beams, tables.water, tables.beam, tables.ways, x, y, depth, identity, albedo, picture)
+    grid = grid_for(part, full_width, min(float(depth.max()), FAREST_M))
+    veil: NDArray[np.float32] = np.empty((grid.rows, grid.columns, CELLS + 1, 3), np.float32)
+    fill_veil(view.optics, beams, tables.water, tables.beam, tables.ways.straight, grid, veil)
+    add_veil(grid, veil, x, y, depth, picture)
+
+
+# --- light on surfaces: from each lamp through the water to what a pixel shows, and from there to the camera ---
 #
 # What the water scatters on the way by less than 5 degrees still arrives, as does part of the rest, from all around:
 # it fills shadows, and is taken as if it came from the lamp's side. Lambert's law on all surfaces; that of the water,
 # seen from below, sends no lamp's light back.
 
 INVERSE_PI = np.float32(1 / math.pi)
-DIFFUSE_WALL, DIFFUSE_SLOPE = np.float32(0.6), np.float32(0.4)  # as in shade.py, whose light is divided out
+DIFFUSE_WALL, DIFFUSE_SLOPE = np.float32(0.6), np.float32(0.4)  # those of shade(), whose light is divided out
 PER_SURFACE = np.float32(1 / SURFACE_STEP_M)
 NEAREST_M2 = np.float32(1e-3)
 
@@ -186,78 +260,3 @@ def add_veil(grid: Grid, veil: NDArray[np.float32], x0: int, y0: int, depth: Flo
                 far = nw * veil[j, i, k + 1, c] + ne * veil[j, i + 1, k + 1, c]
                 far += sw * veil[j + 1, i, k + 1, c] + se * veil[j + 1, i + 1, k + 1, c]
                 picture[row, col, c] += near + fz * (far - near)
-
-
-# --- pictures with lamps ---
-
-Part = tuple[int, int, int, int]  # x, y, width, height in the full frame
-
-FAREST_M = 4.0  # z-depth that the veil is added up to; behind it as much lies in front of everything
-
-
-class LampTables(NamedTuple):
-    water: Scattering
-    beam: Floats
-    ways: Ways
-    neutral: ShadingTables  # shade() draws albedo with it: no water, a room of light 1
-
-
-def lamp_tables(
-    absorption_per_m: tuple[float, ...],
-    scattering_per_m: tuple[float, ...],
-    shading: ShadingTables,
-    water: Scattering | None = None,
-) -> LampTables:
-    """`water`: of who wants another; None: all orders of scattering."""
-    water = water or scattering(absorption_per_m, scattering_per_m)
-    extinct = np.asarray(absorption_per_m) + np.asarray(scattering_per_m)
-    lengths = len(shading.path)
-    ways = Ways(transmission(water.extinct, lengths), transmission(extinct, lengths))
-    path = np.zeros_like(shading.path)
-    path[:, :3] = 1
-    return LampTables(water, beam_table(), ways, shading._replace(path=path, day=np.ones_like(shading.day)))
-
-
-def transmission(extinct_per_m: NDArray[Any], lengths: int) -> Floats:
-    """(lengths, 3) over n / PER_M metres."""
-    length_m = np.arange(lengths)[:, None] / float(PER_M)
-    return np.exp(-np.asarray(extinct_per_m, float) * length_m).astype(np.float32)
-
-
-def beams_of(moment: Moment, view: View) -> Beams:
-    """The moment's lamps, and what may throw shadows: all solids, hulls and creatures, and the camera's own robot."""
-    camera = affine(moment.eye.rotation, moment.eye.position_m)
-    bodies = [
-        (np.asarray(s.position_m, float), max(s.radii_m) * (3**0.5 if s.kind == "box" else 1)) for s in moment.solids
-    ]
-    bodies += [(np.asarray(h.position_m, float), max(HULL_RADII_M)) for h in moment.hulls]
-    bodies += [(np.asarray(p.position_m, float), max(p.radii_m)) for c in moment.creatures for p in c.parts]
-    maps, cubes = view.solids.astype(float), view.cubes
-    if moment.own_hull is not None:
-        hull = moment.own_hull
-        bodies.append((np.asarray(hull.position_m, float), max(HULL_RADII_M)))
-        own = relative(hull.rotation, hull.position_m, camera) / np.array(HULL_RADII_M)[:, None]
-        maps, cubes = np.concatenate([maps, own[None]]), np.append(cubes, 0)
-    return make_beams(moment.lamps, camera, bodies, maps, cubes)
-
-
-def add_lamps(
-    tables: LampTables,
-    moment: Moment,
-    view: View,
-    part: Part,
-    full_width: int,
-    depth: Floats,
-    identity: Identities,
-    albedo: Floats,
-    picture: Floats,
-) -> None:
-    """Add light and veil of the moment's lamps to picture (h, w, 3), a part of the frame of which trace() has found
-    depth and identity, and shade() with tables.neutral the albedo."""
-    beams = beams_of(moment, view)
-    x, y = part[:2]
-    light_up(view, beams, tables.water, tables.beam, tables.ways, x, y, depth, identity, albedo, picture)
-    grid = grid_for(part, full_width, min(float(depth.max()), FAREST_M))
-    veil: NDArray[np.float32] = np.empty((grid.rows, grid.columns, CELLS + 1, 3), np.float32)
-    fill_veil(view.optics, beams, tables.water, tables.beam, tables.ways.straight, grid, veil)
-    add_veil(grid, veil, x, y, depth, picture)

@@ -66,7 +66,7 @@ class View(NamedTuple):
     up: Floats  # (E, 3) the world's z in the ellipsoid's axes
     cubes: NDArray[np.int64]  # (E,) 1: a box of these semi-axes, not an ellipsoid
     pattern: Floats  # (E, 2) where on its texture an ellipsoid has its middle, m
-    material: NDArray[np.int64]  # (SOLID_ID + E,) row of texture.MATERIALS for each identity
+    material: NDArray[np.int64]  # (SOLID_ID + E,) row of MATERIALS for each identity
 
 
 @inlined
@@ -188,8 +188,9 @@ def _trace_cube(view: View, e: int, x0: int, y0: int, depth: Floats, identity: I
                 identity[row, col] = SOLID_ID + e
 
 
-# --- texture ---
-# Surfaces that a camera can focus on: periodic noise over all scales, with mip levels against aliasing.
+# --- textures: surfaces that a camera can focus on ---
+#
+# Periodic noise over all scales, with mip levels against aliasing.
 
 SIZE = 1024  # texels a side, a power of two
 LEVELS = 7  # the coarsest texel is 64 fine ones wide
@@ -268,8 +269,7 @@ def _mips(texture: NDArray[np.float64]) -> NDArray[np.uint8]:
     return np.concatenate(levels)
 
 
-# --- view from above ---
-# Where everything is, seen from one camera: poses and sizes become the maps that the ray caster works with.
+# --- view: poses and sizes, seen from one camera, become the maps that `trace` works with ---
 
 Affine = NDArray[np.float64]  # (3, 4) rotation and shift
 
@@ -349,7 +349,7 @@ class Moment(NamedTuple):
     chessboard: Chessboard | None = None
     creatures: Sequence[Swimming] = ()
     lamps: Sequence[LampBeam] = ()  # that burn, its own robot's too
-    own_hull: Hull | None = None  # which throws shadows; where no lamp burns nobody asks
+    own_hull: Hull | None = None  # which throws shadows; not needed where no lamp burns
 
 
 def make_view(moment: Moment, image_distance_m: float, lens: Lens, index: float, box_m: ArrayLike) -> View:

@@ -1,6 +1,7 @@
 """How bright each pixel is: albedo of the surface, light from above, and the water in between.
 
-Linear radiance, 1 is a white diffuser at the water surface. No lamps, no cast shadows yet.
+Linear radiance, 1 is a white diffuser at the water surface. Daylight alone, without cast shadows; hw.twin.optics.lamps
+adds the light of lamps.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ STEPS_PER_M = np.float32(PER_M)
 class ShadingTables(NamedTuple):
     """What a pixel's light is looked up in; it does not change from frame to frame."""
 
-    atlas: NDArray[np.uint8]  # texture.atlas
+    atlas: NDArray[np.uint8]  # raycast.atlas
     layer: NDArray[np.int64]  # (M,) per material
     texels_per_m: Floats  # (M,)
     dark: Floats  # (M, 3) albedo, blue green red
@@ -171,7 +172,8 @@ def _on_solid(view: View, e: int, px: F, py: F, u: F) -> tuple[F, F, F]:
 
 
 # --- water ---
-# What water does to light: I = J exp(-bD z) + Binf (1 - exp(-bB z)), per colour (Akkaynak and Treibitz, CVPR 2018).
+#
+# I = J exp(-bD z) + Binf (1 - exp(-bB z)), per colour (Akkaynak and Treibitz, CVPR 2018).
 #
 # z is the length of the way through the water. bD, of the object's own light, and bB, of the veil, differ: the
 # restoration that assumes one coefficient is wrong by construction, as it is in the sea. Colours are blue green red.

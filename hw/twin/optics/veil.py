@@ -16,17 +16,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hw.twin.optics.raycast import ONE, ZERO, F, LampBeam, Optics, inlined, kernel, ray
+from hw.twin.optics.raycast import ONE, ZERO, F, Floats, LampBeam, Optics, inlined, kernel, ray
 
-# --- scattered ---
-# Light that particles scatter: once, by the phase function, and more often, by a table that a Monte Carlo has filled.
+# --- scattering: once, by the phase function, and more often, by a table from Monte Carlo ---
 #
 # What goes less than 5 degrees aside is taken as going straight on: for the veil it makes no difference, and what is
-# left is smooth. The table (scattered.txt) is of one lamp in open water, for b = 1 and by what share of the
-# attenuation scattering is; any water's lengths are counted in its scattering lengths.
+# left is smooth. The table (scattered.txt) is of one lamp in open water, for b = 1 and by the share of
+# scattering in the attenuation; any water's lengths are counted in its scattering lengths.
 
 Array = NDArray[np.float64]
-Floats = NDArray[np.float32]
 
 INDEX, SLOPE = 1.10, 3.5835  # Fournier-Forand: 0.018 of it goes back, Petzold's mean
 STRAIGHT_RAD = math.radians(5.0)
@@ -34,12 +32,9 @@ SINES = 2048  # of the phase table, by the sine of half the angle
 
 RANGE_STEP_M, RANGES = 0.02, 200  # of the table of points
 SURFACE_STEP_M, SURFACES = 0.004, 1000  # of that of surfaces, which is so fine that a pixel takes the nearest range
-OFFS, WAYS, SPINS = (
-    17,
-    13,
-    3,
-)  # off the axis and of the light's way, even in the sine of half the angle; cosine of the spin
-FADE = 0.35  # as the table's maker has it
+# Off the axis and of the light's way, even in the sine of half the angle; cosine of the spin.
+OFFS, WAYS, SPINS = 17, 13, 3
+FADE = 0.35  # as agent.experiments.veil_monte_carlo has it, which makes the table
 
 
 class Nodes(NamedTuple):
@@ -101,7 +96,7 @@ def read_nodes() -> Nodes:
 def scattering(
     absorption_per_m: tuple[float, ...], scattering_per_m: tuple[float, ...], orders: bool = True
 ) -> Scattering:
-    """The tables of one water. orders=False: once scattered light alone, attenuated in full, for who compares."""
+    """The tables of one water. orders=False: once scattered light alone, attenuated in full, for comparisons."""
     a, b = np.array(absorption_per_m, float), np.array(scattering_per_m, float)
     kept = deflected() if orders else 1.0
     angle = 2 * np.arcsin(np.linspace(0, 1, SINES))
@@ -144,8 +139,7 @@ def _along(values: Array, nodes: Array, x: Array | float, axis: int = 0) -> Arra
     return np.asarray(np.take(values, i, axis) * (1 - part) + np.take(values, i + 1, axis) * part)
 
 
-# --- beam ---
-# A lamp that burns, as a camera meets it: from where, where to, and what stands in its light.
+# --- beams: lamps that burn, and what stands in their light ---
 
 INTENSITY_W_SR = 1.2  # on the axis, in each of three bands, at full power: some 1000 lm
 HALF_RAD = math.radians(25.0)  # in water; even to 0.8 of it, nothing beyond 1.2
@@ -159,9 +153,7 @@ class Beams(NamedTuple):
     place: NDArray[np.float32]  # (n, 3) camera frame
     aim: NDArray[np.float32]  # (n, 3)
     power: NDArray[np.float32]  # (n,) W/sr on the axis
-    first: NDArray[
-        np.int64
-    ]  # (n + 1,) of `bodies`: those that may throw a shadow in lamp k's light are from first[k] on
+    first: NDArray[np.int64]  # (n + 1,) rows of `bodies` that may throw a shadow in lamp k's light: from first[k] on
     bodies: NDArray[np.int64]  # rows of `maps`
     origins: NDArray[np.float32]  # (rows of `bodies`, 3) the lamp, as that body's map has it
     maps: NDArray[np.float32]  # (e, 3, 4) camera to the unit sphere, or cube, of each body
@@ -209,11 +201,11 @@ def make_beams(
     )
 
 
-# --- veil ---
+# --- veil: light added up along the rays of a grid ---
 
 PER_M = np.float32(512)  # steps a metre of transmission
 CELLS, SUB = 24, 3  # along a ray, and steps in each
-HALF, TWO, QUARTER = np.float32(0.5), np.float32(2), np.float32(0.25)
+HALF = np.float32(0.5)
 LEAST_M = np.float32(0.015)  # the lamp's radius: no water is nearer to its middle
 PER_COSINE = np.float32((COSINES - 1) / (1 - math.cos(EDGE_RAD)))
 EDGE_COS = np.float32(math.cos(EDGE_RAD))

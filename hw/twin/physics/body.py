@@ -1,4 +1,4 @@
-"""What one robot really is: mass, water, arms, thrusters and servos, drawn per seed and hidden from the agents.
+"""What one robot really is: mass, water, arms, thrusters, servos, lamp and battery, drawn per seed, hidden from agents.
 
 Body frame: x forward, y left, z up, origin in the centre of gravity, which is also the centre of the hull.
 """
@@ -15,66 +15,6 @@ from agent.core.config import Body as Mounting
 from agent.core.config import Tank
 from hw.compiled import compiled
 from hw.twin.scene import generator
-
-# --- thruster ---
-# One thruster: pulse -> static curve with dead band -> first-order lag -> force.
-
-F_MAX_N = 10.0  # forward, at 1900 us: small thrusters; a T200 would be oversized for 4 kg
-
-# Shape of the Blue Robotics T200 at 12 V (manufacturer's workbook of September 2019): dead band +-36 us, reverse
-# 79 % of forward. The firmware inverts a curve of its own; they differ as a data sheet differs from a thruster.
-DELTA_US = np.array([-400.0, -300.0, -200.0, -100.0, -36.0, 36.0, 100.0, 200.0, 300.0, 400.0])
-THRUST_N = np.array([-28.6, -19.0, -10.0, -3.2, 0.0, 0.0, 4.0, 12.4, 24.0, 36.4]) * (F_MAX_N / 36.4)
-
-STICTION_N = 0.05  # the rotor does not turn below this
-NEUTRAL_US = 1500.0
-THRUSTER_LAG_S = 0.10  # a value of one simulator, not a measurement; body.py spreads it
-
-
-@compiled()
-def static_thrust_n(pulse_us: float, neutral_us: float, gain: float) -> float:
-    """Steady force in newtons; a pulse of 0 us is an ESC without signal, which stops."""
-    if pulse_us <= 0.0:
-        return 0.0
-    delta = min(max(pulse_us - NEUTRAL_US - neutral_us, DELTA_US[0]), DELTA_US[-1])
-    k = 1
-    while delta > DELTA_US[k]:
-        k += 1
-    share = (delta - DELTA_US[k - 1]) / (DELTA_US[k] - DELTA_US[k - 1])
-    force = gain * (THRUST_N[k - 1] + share * (THRUST_N[k] - THRUST_N[k - 1]))
-    return float(force) if abs(force) >= STICTION_N else 0.0
-
-
-@compiled()
-def lagged_thrust_n(force_n: float, target_n: float, lag_s: float, dt_s: float) -> float:
-    """Force after dt_s on the way to target_n, exact for a constant target."""
-    return target_n + (force_n - target_n) * math.exp(-dt_s / lag_s)
-
-
-# --- servo ---
-# One gimbal servo: commanded angle -> scale and zero error -> lag and slew of the motor -> play of the gears.
-
-SERVO_LAG_S = 0.04
-SLEW_DEG_S = 300.0  # 0.2 s per 60 deg, a usual figure of digital hobby servos
-PLAY_DEG = 0.5  # full width of the backlash: the camera hangs behind the motor by half of it
-STOP_MARGIN_DEG = 3.0  # mechanical stops lie outside the limits that the fleet file allows
-
-
-@compiled()
-def motor_deg_after(
-    motor_deg: float, nominal_deg: float, gain: float, zero_deg: float, low_deg: float, high_deg: float, dt_s: float
-) -> float:
-    """Angle of the motor after dt_s of following the commanded nominal angle."""
-    target = min(max(zero_deg + gain * nominal_deg, low_deg), high_deg)
-    move = (target - motor_deg) * (1.0 - math.exp(-dt_s / SERVO_LAG_S))
-    return motor_deg + min(max(move, -SLEW_DEG_S * dt_s), SLEW_DEG_S * dt_s)
-
-
-@compiled()
-def shaft_deg_after(shaft_deg: float, motor_deg: float) -> float:
-    """Angle of what the servo carries: it stays until the motor has taken up the play, then it is dragged along."""
-    return min(max(shaft_deg, motor_deg - PLAY_DEG / 2), motor_deg + PLAY_DEG / 2)
-
 
 # --- body ---
 
@@ -211,10 +151,140 @@ def draw_servos(body: NDArray[np.void], seed: int, robot: str, mounting: Mountin
     body["servo_high_deg"] = np.array(high * 2) + STOP_MARGIN_DEG
 
 
-# --- rotation ---
-# Rotations for the compiled kernels: vectors and quaternions are tuples, so that nothing is allocated.
+# --- thruster: pulse -> static curve with dead band -> first-order lag -> force ---
+
+F_MAX_N = 10.0  # forward, at 1900 us: small thrusters; a T200 would be oversized for 4 kg
+
+# Shape of the Blue Robotics T200 at 12 V (manufacturer's workbook of September 2019): dead band +-36 us, reverse
+# 79 % of forward. The firmware inverts a curve of its own; they differ as a data sheet differs from a thruster.
+DELTA_US = np.array([-400.0, -300.0, -200.0, -100.0, -36.0, 36.0, 100.0, 200.0, 300.0, 400.0])
+THRUST_N = np.array([-28.6, -19.0, -10.0, -3.2, 0.0, 0.0, 4.0, 12.4, 24.0, 36.4]) * (F_MAX_N / 36.4)
+
+STICTION_N = 0.05  # the rotor does not turn below this
+NEUTRAL_US = 1500.0
+THRUSTER_LAG_S = 0.10  # a value of one simulator, not a measurement; draw_body spreads it
+
+
+@compiled()
+def static_thrust_n(pulse_us: float, neutral_us: float, gain: float) -> float:
+    """Steady force in newtons; a pulse of 0 us is an ESC without signal, which stops."""
+    if pulse_us <= 0.0:
+        return 0.0
+    delta = min(max(pulse_us - NEUTRAL_US - neutral_us, DELTA_US[0]), DELTA_US[-1])
+    k = 1
+    while delta > DELTA_US[k]:
+        k += 1
+    share = (delta - DELTA_US[k - 1]) / (DELTA_US[k] - DELTA_US[k - 1])
+    force = gain * (THRUST_N[k - 1] + share * (THRUST_N[k] - THRUST_N[k - 1]))
+    return float(force) if abs(force) >= STICTION_N else 0.0
+
+
+@compiled()
+def lagged_thrust_n(force_n: float, target_n: float, lag_s: float, dt_s: float) -> float:
+    """Force after dt_s on the way to target_n, exact for a constant target."""
+    return target_n + (force_n - target_n) * math.exp(-dt_s / lag_s)
+
+
+# --- gimbal servo: commanded angle -> scale and zero error -> lag and slew of the motor -> play of the gears ---
+
+SERVO_LAG_S = 0.04
+SLEW_DEG_S = 300.0  # 0.2 s per 60 deg, a usual figure of digital hobby servos
+PLAY_DEG = 0.5  # full width of the backlash: the camera hangs behind the motor by half of it
+STOP_MARGIN_DEG = 3.0  # mechanical stops lie outside the limits that the fleet file allows
+
+
+@compiled()
+def motor_deg_after(
+    motor_deg: float, nominal_deg: float, gain: float, zero_deg: float, low_deg: float, high_deg: float, dt_s: float
+) -> float:
+    """Angle of the motor after dt_s of following the commanded nominal angle."""
+    target = min(max(zero_deg + gain * nominal_deg, low_deg), high_deg)
+    move = (target - motor_deg) * (1.0 - math.exp(-dt_s / SERVO_LAG_S))
+    return motor_deg + min(max(move, -SLEW_DEG_S * dt_s), SLEW_DEG_S * dt_s)
+
+
+@compiled()
+def shaft_deg_after(shaft_deg: float, motor_deg: float) -> float:
+    """Angle of what the servo carries: it stays until the motor has taken up the play, then it is dragged along."""
+    return min(max(shaft_deg, motor_deg - PLAY_DEG / 2), motor_deg + PLAY_DEG / 2)
+
+
+# --- lamp ---
 #
-# A quaternion (w, x, y, z) turns body into world; R = Rz(yaw) Ry(pitch) Rx(roll), positive pitch is nose down.
+# A lamp of 15 W in the water that cools it. Its driver keeps to that power, and to less where it is hot or the pack
+# low. Figures are assumed, of the size of small underwater lamps; each robot's differs a little.
+
+Array = NDArray[np.float64]
+
+FULL_W = 15.0
+LIGHT_SPREAD = 0.05  # of the light of one lamp and another at one power
+WATER_C = 12.0
+K_PER_W, K_SPREAD = 3.6, 0.15  # of the LED's plate above the water, through glue and housing
+SETTLING_S = 90.0
+HOT_C, HOTTEST_C = 60.0, 90.0  # light falls between them, in a straight line to nothing: a lamp settles before that
+LOW_V, DEAD_V = 12.0, 10.0  # of the pack, between which the driver gives less and less
+
+
+class Lamps:
+    """All of a fleet: what each takes from its pack, how warm it gets, and how much light is left.
+
+    Dark and as warm as the water at the start.
+    """
+
+    def __init__(self, seed: int, robots: Sequence[str]) -> None:
+        drawn = np.array([generator(seed, name, "lamp").uniform(-1, 1, 2) for name in robots]).reshape(-1, 2)
+        self._brightness = 1 + LIGHT_SPREAD * drawn[:, 0]
+        self._k_per_w = K_PER_W * (1 + K_SPREAD * drawn[:, 1])
+        self.asked = np.zeros(len(robots))  # share of full power, by the pin
+        self.output = np.zeros(len(robots))  # light, as a share of a mean lamp's at full power
+        self.temperature_c = np.full(len(robots), WATER_C)
+        self.current_a = np.zeros(len(robots))  # that they draw from their packs
+
+    def tick(self, battery_v: Array, dt_s: float) -> None:
+        """dt_s on packs (n,) of so many volts."""
+        if not self.asked.any() and not self.current_a.any() and self.temperature_c.max() < WATER_C + 0.01:
+            self.output[:] = 0.0
+            return
+        cool = np.clip((HOTTEST_C - self.temperature_c) / (HOTTEST_C - HOT_C), 0, 1)
+        fed = np.clip((battery_v - DEAD_V) / (LOW_V - DEAD_V), 0, 1)
+        share = np.clip(self.asked, 0, 1) * np.minimum(cool, fed)
+        power_w = FULL_W * share
+        self.current_a = power_w / np.maximum(battery_v, DEAD_V)
+        self.output = self._brightness * share
+        end_c = WATER_C + self._k_per_w * power_w
+        self.temperature_c += (end_c - self.temperature_c) * -np.expm1(-dt_s / SETTLING_S)
+
+
+# --- battery: the voltage falls with the current that the thrusters draw, and their thrust with it ---
+
+OPEN_V = 14.92  # four cells half way down, without load
+OHM = 0.08  # pack, leads and plugs together; assumed
+IDLE_A = 1.5  # electronics, camera and servos; assumed
+A_PER_N = 0.45  # Blue Robotics T200 at 12 V: 17 A at 36.4 N (manufacturer's workbook of September 2019, from memory)
+
+NOMINAL_V = OPEN_V - OHM * IDLE_A  # 14.8: at this supply THRUST_N holds
+THRUST_EXPONENT = 1.2  # the T200's full thrust of 36.4 N at 12 V and 51.4 N at 16 V
+
+
+def current_a(thrust_n: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) amperes for the thrust (n, 8) of all thrusters, either way alike."""
+    return np.asarray(IDLE_A + A_PER_N * np.abs(thrust_n).sum(axis=1))
+
+
+def supply_v(open_v: NDArray[np.float64], drawn_a: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) volts at the board for the open-circuit voltage (n,) and the current (n,)."""
+    return np.asarray(np.maximum(open_v - OHM * drawn_a, 0.0))
+
+
+def thrust_loss(volts: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(n,) share of the thrust at NOMINAL_V that is missing; negative for a fuller pack."""
+    return np.asarray(1.0 - (volts / NOMINAL_V) ** THRUST_EXPONENT)
+
+
+# --- rotations ---
+#
+# A quaternion (w, x, y, z) turns body into world; R = Rz(yaw) Ry(pitch) Rx(roll), positive pitch is nose down. For the
+# compiled kernels, vectors and quaternions are tuples, so that nothing is allocated.
 
 Vector = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]
@@ -295,74 +365,3 @@ def euler_rad(q: NDArray[np.float64]) -> tuple[float, float, float]:
 def gimbal(pan_deg: float, tilt_deg: float) -> NDArray[np.float64]:
     """(3, 3) gimbal -> body: Rz(pan) Ry(-tilt), so pan is positive to the left and tilt positive upwards."""
     return matrix(quaternion(0.0, -math.radians(tilt_deg), math.radians(pan_deg)))
-
-
-# --- the robot's own lamp ---
-# The lamp of each robot: what it takes from the pack, how warm it gets, and what is left of its light then.
-#
-# A lamp of 15 W in the water that cools it. Its driver keeps to that power, and to less where it is hot or the pack
-# low. Figures are assumed, of the size of small underwater lamps; each robot's differs a little.
-
-Array = NDArray[np.float64]
-
-FULL_W = 15.0
-LIGHT_SPREAD = 0.05  # of the light of one lamp and another at one power
-WATER_C = 12.0
-K_PER_W, K_SPREAD = 3.6, 0.15  # of the LED's plate above the water, through glue and housing
-SETTLING_S = 90.0
-HOT_C, HOTTEST_C = 60.0, 90.0  # light falls between them, in a straight line to nothing: a lamp settles before that
-LOW_V, DEAD_V = 12.0, 10.0  # of the pack, between which the driver gives less and less
-
-
-class Lamps:
-    """All of a fleet. Dark and as warm as the water at the start."""
-
-    def __init__(self, seed: int, robots: Sequence[str]) -> None:
-        drawn = np.array([generator(seed, name, "lamp").uniform(-1, 1, 2) for name in robots]).reshape(-1, 2)
-        self._brightness = 1 + LIGHT_SPREAD * drawn[:, 0]
-        self._k_per_w = K_PER_W * (1 + K_SPREAD * drawn[:, 1])
-        self.asked = np.zeros(len(robots))  # share of full power, by the pin
-        self.output = np.zeros(len(robots))  # light, as a share of a mean lamp's at full power
-        self.temperature_c = np.full(len(robots), WATER_C)
-        self.current_a = np.zeros(len(robots))  # that they draw from their packs
-
-    def tick(self, battery_v: Array, dt_s: float) -> None:
-        """dt_s on packs (n,) of so many volts."""
-        if not self.asked.any() and not self.current_a.any() and self.temperature_c.max() < WATER_C + 0.01:
-            self.output[:] = 0.0
-            return
-        cool = np.clip((HOTTEST_C - self.temperature_c) / (HOTTEST_C - HOT_C), 0, 1)
-        fed = np.clip((battery_v - DEAD_V) / (LOW_V - DEAD_V), 0, 1)
-        share = np.clip(self.asked, 0, 1) * np.minimum(cool, fed)
-        power_w = FULL_W * share
-        self.current_a = power_w / np.maximum(battery_v, DEAD_V)
-        self.output = self._brightness * share
-        end_c = WATER_C + self._k_per_w * power_w
-        self.temperature_c += (end_c - self.temperature_c) * -np.expm1(-dt_s / SETTLING_S)
-
-
-# --- battery ---
-# The pack of each robot: its voltage falls with the current that the thrusters draw, and their thrust with it.
-
-OPEN_V = 14.92  # four cells half way down, without load
-OHM = 0.08  # pack, leads and plugs together; assumed
-IDLE_A = 1.5  # electronics, camera and servos; assumed
-A_PER_N = 0.45  # Blue Robotics T200 at 12 V: 17 A at 36.4 N (manufacturer's workbook of September 2019, from memory)
-
-NOMINAL_V = OPEN_V - OHM * IDLE_A  # 14.8: at this supply thruster.THRUST_N holds
-THRUST_EXPONENT = 1.2  # the T200's full thrust of 36.4 N at 12 V and 51.4 N at 16 V
-
-
-def current_a(thrust_n: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n,) amperes for the thrust (n, 8) of all thrusters, either way alike."""
-    return np.asarray(IDLE_A + A_PER_N * np.abs(thrust_n).sum(axis=1))
-
-
-def supply_v(open_v: NDArray[np.float64], drawn_a: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n,) volts at the board for the open-circuit voltage (n,) and the current (n,)."""
-    return np.asarray(np.maximum(open_v - OHM * drawn_a, 0.0))
-
-
-def thrust_loss(volts: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(n,) share of the thrust at NOMINAL_V that is missing; negative for a fuller pack."""
-    return np.asarray(1.0 - (volts / NOMINAL_V) ** THRUST_EXPONENT)

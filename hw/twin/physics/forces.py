@@ -1,4 +1,4 @@
-"""What water, weight, thrusters and lines do to one hull: each adds its part to a wrench in the body frame.
+"""What water, weight, thrusters, lines and contacts do to one hull: each adds its part to a wrench in the body frame.
 
 A wrench is (6,): force in newtons, then torque in newton metres about the centre of gravity.
 """
@@ -63,7 +63,7 @@ def add_stirred_water(
 ) -> None:
     """As add_water, where the water flows, with one velocity everywhere, and has a tether to drag at.
 
-    To who drifts along, the water is at rest: (m + m_A) v_r' = F(v_r), add_water's of the velocity through the water.
+    To a hull that drifts along, the water is at rest: (m + m_A) v_r' = F(v_r), add_water's of the velocity through it.
     In the tank's frame v' = v_r' - w x water + speeding, and the pressure that speeds up the water pushes the hull like
     the water in its place (Froude and Krylov), so that
     (m + m_A) v' = F(v_r) - (m + m_A) w x water + (m_displaced + m_A) speeding.
@@ -141,8 +141,7 @@ def add_lines(body: Record, p: Vector, q: Quaternion, v_world: Vector, w: Vector
         add_force(wrench, to_body(q, (tension * dx, tension * dy, tension * dz)), eye)
 
 
-# --- contact ---
-# Contacts of a hull with the floor, the walls and the other hulls.
+# --- contacts with the floor, the walls and other hulls ---
 
 # Contacts are springs that resist being pressed in; 2 kN/m lets a 4 kg hull sink in by millimetres.
 CONTACT_N_M, CONTACT_N_S_M, FRICTION = 2000.0, 60.0, 0.3
@@ -151,7 +150,7 @@ CREEP_M_S = 0.01  # below this sliding speed friction grows linearly, so that re
 
 @compiled()
 def contact_force(gap_m: float, normal: Vector, slide: Vector) -> Vector:
-    """Force of a contact: normal points to us, slide is our velocity relative to what we touch."""
+    """Force of a contact: normal points to the hull, slide is the hull's velocity relative to what it touches."""
     speed_n = slide[0] * normal[0] + slide[1] * normal[1] + slide[2] * normal[2]
     press = max(0.0, -CONTACT_N_M * gap_m - CONTACT_N_S_M * speed_n)
     tx, ty, tz = slide[0] - speed_n * normal[0], slide[1] - speed_n * normal[1], slide[2] - speed_n * normal[2]

@@ -101,9 +101,9 @@ class PressureSensors:
         return np.asarray(np.round((self._still_pa + drift_pa + water_pa + noise_pa) / STEP_PA) * STEP_PA)
 
 
-# --- waves ---
-# A standing wave along the tank, as the pressure sensors see it: linear theory, water of finite depth.
+# --- waves: a standing wave along the tank, as the pressure sensors see it ---
 #
+# Linear theory, water of finite depth:
 # p = rho g A cosh(k z) / cosh(k h) cos(k x) cos(omega t), k = m pi / L, omega^2 = g k tanh(k h), z above the floor
 # (Dean and Dalrymple, Water Wave Mechanics, chapter 3). What the wave does to the hull is left out.
 
@@ -120,11 +120,11 @@ def add_waves(
     """Add to pressure_pa (n, 4) what the wave of a tank `length_m` long in x exerts at t_s."""
     k = waves.mode * math.pi / length_m
     omega = math.sqrt(GRAVITY_M_S2 * k * math.tanh(k * surface_m))
-    _add(PA_PER_M * waves.amplitude_m * math.cos(omega * t_s), k, surface_m, bodies, states, pressure_pa)
+    _add_wave(PA_PER_M * waves.amplitude_m * math.cos(omega * t_s), k, surface_m, bodies, states, pressure_pa)
 
 
 @compiled()
-def _add(
+def _add_wave(
     crest_pa: float,
     k: float,
     surface_m: float,

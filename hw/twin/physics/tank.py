@@ -42,6 +42,8 @@ from hw.twin.scene import Current, Pull, generator
 STEP_S = 0.002  # 20 times shorter than the fastest lag, that of the servos
 STEPS_PER_TICK = 5
 TICK_NS = 10_000_000  # the firmware's 100 Hz
+TICK_S = TICK_NS * 1e-9
+BLOCK = 256  # samples of noise drawn at a time: a tick costs no call into the generators
 
 # One record per robot, all that moves. World: origin at the lower left corner of the tank's floor, z up.
 STATE = np.dtype(
@@ -145,12 +147,11 @@ def push(state: np.void, force_n: Vector, point_m: Vector, for_s: float) -> None
     state["push_n"], state["push_at_m"], state["push_s"] = force_n, point_m, for_s
 
 
-# --- overrides of an experiment ---
-# What an experiment decides about a robot, instead of leaving it to chance: one row of overrides per robot.
+# --- plant ---
 
 
 class Plant(NamedTuple):
-    """The defaults leave a robot as it is drawn."""
+    """What an experiment decides about one robot, instead of chance; the defaults leave it as it is drawn."""
 
     mass_scale: float = 1.0  # on all that resists acceleration, added mass with it; it stays as buoyant as it was
     lag_s: float | None = None  # of every thruster; None: drawn about 0.10 s
@@ -170,16 +171,13 @@ def set_body(body: NDArray[np.void], plant: Plant) -> None:
     body["stagnation"] = plant.dynamic_pressure
 
 
-# --- flow ---
-# Water that flows, and tethers that pull: what each moment brings, as random processes with streams of their own.
+# --- flow: water that flows and tethers that pull, as random processes with streams of their own ---
 #
 # The current is one velocity everywhere, walls or not: its constant part, and in x and y a gust that comes and goes
 # (Ornstein-Uhlenbeck, GUST_S). Water has mass: it follows both with a lag, so that its acceleration, which pushes a
 # hull as hard as it pushes the water that the hull displaces, is finite.
 
 GUST_S = 4.0  # correlation time of what drives the gust; assumed
-BLOCK = 256  # steps drawn at a time: a tick costs no call into the generators
-TICK_S = TICK_NS * 1e-9
 LAG_S = 1.0  # of the water behind it, and behind a current that is changed; assumed
 
 
@@ -191,7 +189,7 @@ class Flow:
         self._mean_m_s = np.array(current.velocity_m_s)
         self._now_m_s = self._mean_m_s.copy()
         self._usual, self._left_s = pull, np.full(len(robots), math.inf)
-        # One process a row, in x and y: what drives the gust, and the pull at each robot. The lag takes of the former.
+        # One process a row, in x and y: what drives the gust, and the pull at each robot. The lag weakens the former.
         self._rngs = [generator(seed, "gust"), *(generator(seed, robot, "pull") for robot in robots)]
         self._noise, self._drawn = np.zeros((BLOCK, len(self._rngs), 2)), 0
         self._x = np.zeros((len(self._rngs), 2))
@@ -239,8 +237,7 @@ class Flow:
         self._kept[row], self._gain[row] = kept, sigma * math.sqrt(1 - kept * kept)
 
 
-# --- gyro ---
-# The yaw gyro of each robot that has one: an ICM-42688-P lying flat in the hull, 100 readings a second.
+# --- yaw gyro: an ICM-42688-P lying flat in the hull, 100 readings a second ---
 #
 # Figures of its data sheet (TDK InvenSense DS-000347): noise, zero offset and its drift with temperature, error of
 # scale. How straight it is mounted, what the thrusters shake and how fast the offset wanders are estimates.
@@ -256,7 +253,7 @@ FULL_SCALE_CDEG_S = 25_013
 
 
 class Gyros:
-    """Those of a fleet; each robot's errors come from a stream of its own."""
+    """The gyros of a fleet, where it has them; each robot's errors come from a stream of its own."""
 
     def __init__(self, seed: int, robots: Sequence[str], fitted: bool) -> None:
         self._rngs = [generator(seed, robot, "gyro") for robot in robots] if fitted else []
@@ -268,7 +265,7 @@ class Gyros:
         self._draws = np.zeros((BLOCK, len(self._rngs), 2))
         self._drawn = 0
         self._robots = list(robots)
-        self._failed: dict[int, int] = {}  # what those say that are broken
+        self._failed: dict[int, int] = {}  # what broken ones say
         self._told = [NO_RATE] * len(robots)
 
     def read(self, rates_rad_s: NDArray[np.float64]) -> list[int]:

@@ -56,8 +56,8 @@ from hw.twin.scene import (
     in_daylight,
     lamp_place,
     load_scene,
+    target_solids,
 )
-from hw.twin.truth import target_solids
 from tests.hw.twin.stand_ins import boardless_dive, readings_m, run
 from tests.hw.twin.test_camera_device import Notebook
 from tests.places import ROOT

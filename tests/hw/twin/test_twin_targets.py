@@ -12,8 +12,7 @@ from agent.robot.fleet_reader import load_fleet
 from hw.twin.optics.lens import draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.optics.raycast import Eye
-from hw.twin.scene import generator, load_scene, scene_of
-from hw.twin.truth import target_solids
+from hw.twin.scene import generator, load_scene, scene_of, target_solids
 
 FLEET = load_fleet(fleet_file("two_balls"))
 SCENE = load_scene("two_balls")
