@@ -1,4 +1,4 @@
-"""Every message of a recording as one line of JSON, decoded.
+"""Recordings for other programs: JSON lines, CSV tables and films.
 
 A line is {"file", "channel", "log_time_ns", "publish_time_ns", "sequence", "message"}. Bytes become {"base64": "..."},
 but for messages of neighbours as they came into a step, which are decoded too. Of protobuf messages the fields have
@@ -37,7 +37,7 @@ from replay.files.mcap_file import parts
 from replay.files.mcap_walk import Channel, Message, Schema, Tear, records, suspecting
 from replay.report.timeline import RobotTimeline, Run, open_run
 
-# --- source ---
+# --- recordings of a path ---
 # Which recordings a path stands for, when something is to be made of them, and which robots are in these; and a file
 # that is made of them, or not at all.
 
@@ -73,7 +73,7 @@ def whole_or_none(out: Path) -> Iterator[None]:
         raise
 
 
-# --- json lines ---
+# --- JSON lines ---
 
 Decode = Callable[[bytes], Any]
 

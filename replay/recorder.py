@@ -1,4 +1,5 @@
-"""The fleet recorder: what is on the network of a fleet, as the bytes came, in the order they reached this process.
+"""The fleet recorder: what is on the network of a fleet, as the bytes came, in the order they reached this process. And
+the presence monitor, and the same traffic live in Foxglove.
 
 It is an overview. What one robot knew and when is in that robot's own black box.
 """
@@ -32,7 +33,7 @@ from replay.viewers.viewer_channels import ViewerChannels
 from router_config.session import Sample, Session, unusable
 from router_config.settings import observer_config
 
-# --- roll call ---
+# --- presence monitor ---
 # Who of a fleet is heard and who is not, for a person who waits for it: said once, and again when it changes.
 
 SILENCE_S = 3.0  # of the wall: a fleet's own clock stands while there is no twin. Links are up within one
@@ -84,7 +85,7 @@ class RollCall:
         return ", ".join(said if len(said) <= NAMED else [*said[:NAMED], f"{len(said) - NAMED} more"])
 
 
-# --- recorder ---
+# --- the fleet recorder ---
 
 logger = logging.getLogger(__name__)
 
@@ -273,7 +274,7 @@ def receiving(fleet: Fleet, arrivals: Arrivals, process: str, keys: Path | None 
         yield
 
 
-# --- view from above ---
+# --- a fleet live in Foxglove ---
 # The fleet live in Foxglove: the viewer channels of a recording, over a WebSocket on this machine alone.
 #
 # Only what robots show on the network is there, previews of their cameras included; the frames themselves stay on the

@@ -1,4 +1,5 @@
-"""What happened in a dive, as one recording has it: for a program as they are, for a person story/words.py tells them.
+"""What happened in a dive, as one recording has it: as facts for a program, in sentences for a person, and `aucamp
+replay info`.
 
 Of a black box they are about its robot, of a fleet file about all whom the recorder heard. Seconds count from the first
 state that anybody showed.

@@ -1,4 +1,4 @@
-"""The one door to the network: keys, bytes and integers pass it. Nothing else of ours imports zenoh.
+"""The Zenoh session adapter: keys, bytes and integers pass it. No other file of ours imports zenoh.
 
 What arrives is handed over in Zenoh's own threads. A callback does no more than stamp, judge and append: a slow one
 holds up every other subscription of its session.

@@ -1,4 +1,4 @@
-"""Fleet file -> Zenoh configuration. Pure: text in, text out.
+"""Fleet file -> Zenoh configuration, access rules and metadata of one process. Pure: text in, text out.
 
 The base files in router_config/ are JSON5 whose only liberty over JSON is whole lines of // comment. What differs from
 process to process is laid over them here: endpoints, and in a secured fleet certificates and access rules. The graph of
@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 from agent.core import topics
 from agent.core.config import Fleet, common
 
-# --- access ---
+# --- access rules ---
 # Who may do what to whom in a secured fleet: Zenoh's access rules of one process. Pure.
 #
 # They follow from the table of keys and from `[access]`.
@@ -133,7 +133,7 @@ def _rule(name: str, flow: str, messages: Sequence[str], *keys: str) -> Rule:
     return {"id": name, "permission": "allow", "flows": [flow], "messages": list(messages), "key_exprs": list(keys)}
 
 
-# --- metadata ---
+# --- metadata of a process ---
 # What a process says of itself to who looks at its links: its name, its version, and digests of what it goes by.
 #
 # Two that are linked and do not understand each other have different files or versions, and these show which.
@@ -169,7 +169,7 @@ def version() -> str:
         return UNKNOWN
 
 
-# --- session ---
+# --- settings of a session ---
 
 # Where consoles find the router. Below 32768, as every port of ours: those above are ephemeral source ports.
 ROUTER_LISTEN = "tcp/127.0.0.1:17447"

@@ -1,4 +1,4 @@
-"""Run robots, or what stands in for them; record them, look at them while they run."""
+"""Run robots, or what stands in for them; record them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a fleet needs before and around its dives, beside the robots themselves."""
+"""What people around a fleet type: before its dives, while it runs, and through bridges to other programs."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ def _tell(found: Checked | Diagnosis, as_json: bool) -> NoReturn:
     raise typer.Exit(0 if found.well else 1)
 
 
-# --- looking ---
+# --- snapshot and schema ---
 # Look at a running fleet from outside: one picture, and what its messages look like.
 
 
@@ -143,7 +143,7 @@ def schemas(
         typer.echo(path)
 
 
-# --- orders from the page ---
+# --- order ---
 # People in charge: what they tell robots that run.
 
 Verb = StrEnum("Verb", [(verb, verb) for verb in VERBS])  # type: ignore[misc]
@@ -179,7 +179,7 @@ def order(
     raise typer.Exit(0 if all(outcome.ok for outcome in outcomes.values()) else 1)
 
 
-# --- paging ---
+# --- page ---
 # A page to stand at: a running fleet or a recording in a browser.
 
 
@@ -208,7 +208,7 @@ def page(
         run(what, console, port, out, stop, typer.echo)
 
 
-# --- bridging ---
+# --- bridge ---
 # Bridges: a running fleet for programs that people already have.
 
 SIMULATOR = "-35.363262,149.165237"  # where the simulator of ArduPilot stands, as those who know it know
@@ -302,7 +302,7 @@ def keelson(
         run(robots, fleet, name, port, Keelson(robots), stop, typer.echo)
 
 
-# --- boards ---
+# --- board ---
 # `aucamp board`.
 
 board_app = typer.Typer(no_args_is_help=True, help="Orders to a robot's control module, whose agent does not run.")

@@ -1,4 +1,4 @@
-"""What can be done with pictures: depth, following, enhancing, and training what enhances."""
+"""What can be done with pictures and cameras: depth, tracking, enhancement and its training, calibration."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def train_enhance(
         train(pairs, out, plan, start, resume, everything, terminal())
 
 
-# --- calibrating ---
+# --- calibrate ---
 # `aucamp calibrate`.
 
 calibrate_app = typer.Typer(no_args_is_help=True, help="Measure what a camera's lens and gimbal really do.")

@@ -1,4 +1,4 @@
-"""`aucamp replay`."""
+"""What can be done with recordings: replay, export, reconstruction."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def unused_page(path: Path) -> Path:
     return path if not path.exists() else next(page for page in numbers if not page.exists())
 
 
-# --- exporting ---
+# --- export ---
 # `aucamp export`.
 
 export_app = typer.Typer()
@@ -166,7 +166,7 @@ def export_command(
     terminal().print(said, markup=False, highlight=False)
 
 
-# --- reconstructing ---
+# --- reconstruct ---
 # `aucamp reconstruct`.
 
 reconstruct_app = typer.Typer()

@@ -1,4 +1,5 @@
-"""`aucamp demo`: the paper's localization experiment on the twin, through real processes.
+"""`aucamp demo`: the paper's localization experiment on the twin, through real processes: its fleet, where robots
+listen, the page, and the dive itself.
 
 Calibrate each camera on the twin's bench, start the twin, a recorder and one agent per robot, watch what they say
 until they have settled, stop everything, and only then look at the truth.
@@ -62,7 +63,7 @@ from agent.robot.fleet_reader import load_fleet
 from hw.twin.scene import scene_of, target_creatures, target_solids
 from hw.twin.twin_folder import twin_dir
 
-# --- fleet ---
+# --- the fleet ---
 # The fleet of a demo: the first robots of a fleet file, all in the twin, which knows the places of their targets.
 
 T = TypeVar("T", bound=msgspec.Struct)
@@ -204,7 +205,7 @@ def _hold(endpoints: Sequence[str], held: contextlib.ExitStack) -> bool:
     return True
 
 
-# --- the page of a demo ---
+# --- the page ---
 # The page of a demo: a process of its own, as a user would start it, and where it is to be opened.
 
 PAGE_READY_S = 60.0  # of the wall
@@ -224,7 +225,7 @@ def open_page(fleet: Fleet, path: Path, processes: Crew) -> str:
     return f"\nlook at it, and give orders, in a browser on this machine:\n  {address}\n"
 
 
-# --- demo ---
+# --- the dive ---
 
 CALIBRATE_S = 300.0  # of the wall; a bench needs about ten seconds, and minutes beside other work
 READY_S = 300.0  # of the wall; the first start compiles the twin's kernels

@@ -228,7 +228,7 @@ def verdict(summary: dict[str, Any]) -> str:
     return f"{summary['verdict']}: {'; '.join(summary['reasons'] or balls + boxes + fish)}"
 
 
-# --- coverage table ---
+# --- table of a survey ---
 # How a survey goes, for whoever watches it: in 80 columns, a line for each robot.
 
 

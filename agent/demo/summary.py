@@ -1,4 +1,5 @@
-"""What a run was worth: errors of priors and posteriors against the truth, which only the twin knows.
+"""What a run was worth: errors of priors and posteriors against the truth, which the twin alone knows; how far a survey
+came; how a target that swims was followed.
 
 A run has a history for each target and robot. The verdict is over all of them.
 
@@ -25,7 +26,7 @@ from agent.core.messages import State, Symmetric, Vector
 from replay.check.reexecute import black_boxes, open_boxes
 from replay.report.creature_track import CreatureTrack, Held, creature_track
 
-# --- coverage ---
+# --- how far a survey has come ---
 # How far a survey has come, by what robots tell each other of it.
 
 
@@ -129,7 +130,7 @@ class History(NamedTuple):
 
 Histories = dict[str, dict[str, History]]  # by target, then by robot
 
-# --- following ---
+# --- a target that swims ---
 # What following a target that swims was worth: who saw it when, and how far off its track each robot was.
 #
 # Judged from when all robots know of it to the end, from the black boxes and the twin's truth. A fish is not a point:
@@ -304,7 +305,7 @@ def _times_lost(sees: np.ndarray) -> int:
     return sum(0.1 * gap > LOST_S for gap in _gaps(sees))
 
 
-# --- summary ---
+# --- targets at rest ---
 
 PASS_PERCENT = 0.4  # the paper's final relative error (section 6)
 SIGMAS = 3.0  # how many of its own standard deviations an estimate may lie outside of a thing in a box

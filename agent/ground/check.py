@@ -1,4 +1,6 @@
-"""`aucamp check`: all that can be known of a fleet's start without starting anything."""
+"""`aucamp check`: all that can be known of a fleet's start without starting anything, devices of this computer
+included.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +34,7 @@ from hw.camera.open import known_scheme, open_camera
 from hw.camera.v4l2_node import find
 from hw.twin.twin_folder import twin_dir
 
-# --- devices ---
+# --- devices of this computer ---
 # A robot's devices on this computer: whether they are there and may be opened. Nothing that runs is disturbed.
 
 BY_ID = Path("/dev/serial/by-id")  # udev's names, which stay the same
@@ -87,7 +89,7 @@ def camera(fleet: Fleet, name: str) -> str:
     return f"{url} gives pictures of {size[0]}x{size[1]} pixels"
 
 
-# --- check ---
+# --- all that can be known before a start ---
 
 OPEN = "open: who reaches a port can read it and speak as any robot; docs/access.md says how to secure it"
 MARKS = ("MEASURE", "SURVEY")  # that `aucamp init` leaves in the comments of a file of real robots

@@ -1,4 +1,6 @@
-"""The files that a robot needs beside the fleet file: calibration, keys, pictures of its targets, room to record."""
+"""The files that a robot needs beside the fleet file: calibration, keys, certificates, pictures of its targets, room to
+record. And the addresses at which robots listen.
+"""
 
 from __future__ import annotations
 

@@ -215,7 +215,7 @@ class _Asked:
             self.outcome = Outcome(None, text, now_s - self._first_s)
 
 
-# --- order ---
+# --- `aucamp order` ---
 # `aucamp order`: what a person types becomes an order, and what robots answered becomes lines.
 
 ALL = "all"
@@ -268,7 +268,7 @@ def verdict(outcomes: Mapping[str, Outcome]) -> str:
     return f"{sum(outcome.ok for outcome in outcomes.values())} of {len(outcomes)}"
 
 
-# --- battery ---
+# --- battery limits ---
 # When a robot's battery is called low by whoever looks, in volts at its control module.
 #
 # Both limits are others' own, those of four cells: below the one lamps stay dark, below the other the module

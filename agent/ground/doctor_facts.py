@@ -1,4 +1,5 @@
-"""What a look of three seconds at a running fleet shows: links, tokens, states, and what robots say of their own links.
+"""What the doctor sees of a running fleet in three seconds: links, tokens, states, what robots say of their own links,
+and how far their clocks are off.
 
 Nothing is judged here.
 """
@@ -22,7 +23,7 @@ from agent.ground.check_files import Finding
 from agent.process.launch import addresses_of
 from router_config.session import Link, Reply, Sample, Session, unusable
 
-# --- clocks ---
+# --- offsets of clocks ---
 # How far away robots are, and how far their clocks are from ours. Pure, but for asking.
 
 ASKED = 5  # times; the fastest answer is the truest
@@ -78,7 +79,7 @@ def _long(seconds: float) -> str:
     return f"{seconds:.0f} s" if seconds >= 10 else f"{seconds:.1f} s"
 
 
-# --- asking ---
+# --- asking robots for their clocks ---
 # What robots' clocks say: asked by orders of the verb `clock`, which change nothing and are answered at once.
 
 ANSWER_S = 0.5  # of the wall, for all robots together
@@ -122,7 +123,7 @@ def _ask_once(
     return found
 
 
-# --- listening ---
+# --- three seconds of listening ---
 
 LISTEN_S = 3.0  # of the wall and of the fleet's own time, for who stays silent; states come five times a second
 SLOWEST_S = 15.0  # of the wall, for a dive in the twin whose time hardly passes

@@ -1,4 +1,6 @@
-"""`aucamp init`: a fleet file to begin with, with comments that say what to change."""
+"""Files that a new fleet begins with: `aucamp init` writes a fleet file with comments that say what to change, `aucamp
+keys` makes signing keys and certificates.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""`aucamp snapshot`: the next picture that a running robot shows, as it comes."""
+"""A running fleet from outside: `aucamp snapshot`, the next picture that a robot shows; `aucamp record` and `aucamp
+view`, also of several fleets at once.
+"""
 
 from __future__ import annotations
 
@@ -179,7 +181,7 @@ def at_once(jobs: Mapping[str, Callable[[Say], T]], stop: Event, say: Say) -> tu
     return {name: done[name] for name in jobs if name in done}, failed
 
 
-# --- recording ---
+# --- record ---
 # `aucamp record`: one fleet into a file, or several, each into a file of its own, by one process.
 
 
@@ -217,7 +219,7 @@ def record_fleets(paths: Sequence[Path], out: Path, stop: Event, say: Say, views
     return Recorded(done, failed)
 
 
-# --- viewing ---
+# --- view ---
 # `aucamp view`: one fleet in Foxglove, or several, each at a port of its own, by one process.
 
 

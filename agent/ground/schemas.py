@@ -1,4 +1,5 @@
-"""What is on the network, for programs that are not ours: a JSON Schema of each message, and the table of topics.
+"""What is on the network, for other programs: a JSON Schema of each message, the table of topics, and the decoder of
+the zenoh command line.
 
 All of it is made from the structs and from the table of topics that the robots themselves use.
 """
@@ -113,7 +114,7 @@ def write(folder: Path) -> list[Path]:
     return written
 
 
-# --- decoder ---
+# --- decoder of the zenoh command line ---
 # What the command line of Zenoh shows of our traffic, when told `--decoder aucamp`.
 #
 # zenoh-cli finds `decode` through the entry point group `zenoh_cli.codecs.decoders`.

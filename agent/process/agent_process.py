@@ -1,4 +1,5 @@
-"""One agent process: a robot's devices, links and recording, opened around the loop of runtime.py.
+"""One agent process: a robot's devices, links and recording, opened around the one loop, and what the console says of
+it.
 
 On the way out the motors go off first, then the last state is shown, then links close, then the recording ends.
 """
@@ -63,7 +64,7 @@ from replay.files.info import RateNotes
 from replay.files.mcap_file import environment
 from replay.files.recover import recovering, torn_files
 
-# --- runtime ---
+# --- the loop ---
 # The only loop: drain what arrived, step, log both, act. Everything with a thread or a clock is handed in.
 
 STEP_NS = 50_000_000  # 20 Hz: set-points reach the control module often enough to be its heartbeat
@@ -235,7 +236,7 @@ def say_goodbye(agent: Agent, network: Network, clock: Clock, mode: Mode = "stop
             network.show(msgspec.structs.replace(state, mode=mode, seq=state.seq + 1, sent_ns=clock.now_ns()))
 
 
-# --- agent process ---
+# --- devices, links and recording ---
 
 OPEN = "the fleet is open: who reaches a port can read it and speak as any robot; docs/access.md says how to secure it"
 

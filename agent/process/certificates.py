@@ -1,4 +1,5 @@
-"""Who a process of a secured fleet is: an authority of the fleet's own, and a certificate that it gives to each name.
+"""Certificates of a secured fleet: an authority of the fleet's own, one certificate for each name, and what each
+process needs of them to start.
 
 Names are those of the fleet file: of robots, observers and consoles. The key files are not encrypted, since nobody is
 there to be asked when a robot starts; their modes are what keeps them.
@@ -192,7 +193,7 @@ def _content(path: Path) -> bytes:
         raise ConfigError(f"{path}: cannot be read ({error.strerror}); give this user the right to") from None
 
 
-# --- fleet certificates ---
+# --- certificates of a fleet ---
 # The certificates of a whole fleet: who gets one, what is in it, and what each process needs of them to start.
 
 CONSOLE_FILE = "zenoh-cli.json5"  # for the program `zenoh`, on the computer where it was made

@@ -73,7 +73,7 @@ def with_spinner(console: Console, what: str) -> Iterator[Callable[[str], None]]
         yield lambda words: None
 
 
-# --- plain console ---
+# --- the terminal ---
 # The terminal, on which a text stands as it was written: rich would take `[focus]` for a colour and drop it.
 
 PIPE_COLUMNS = 140  # a pipe is as wide as our widest table
@@ -86,7 +86,7 @@ def plain_console(stderr: bool = False) -> Console:
     return Console(stderr=stderr, soft_wrap=True, width=width, markup=False, emoji=False)
 
 
-# --- failure ---
+# --- exit code 1 ---
 # What ends a command with exit code 1: the question was good, and the answer is no.
 
 
@@ -94,7 +94,7 @@ class Failed(RuntimeError):
     """What was asked for could not be done, through no mistake of the user's; one line that says why."""
 
 
-# --- run folder ---
+# --- where a command writes ---
 # Where a command writes: a new file, a folder that stays, and one that goes with the run.
 
 
@@ -152,7 +152,7 @@ def temporary_folder() -> Iterator[Path]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-# --- fleet files ---
+# --- fleet files that ship ---
 # Fleet files that come with the package, found by name; and what goes with a file into another folder.
 
 FLEETS = Path(str(resources.files("agent") / "fleets"))

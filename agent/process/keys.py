@@ -1,4 +1,6 @@
-"""One Ed25519 key in one PEM file: written so that nobody else can look on, read so that nothing is guessed.
+"""Signing keys (Ed25519): one key in one PEM file, the public keys of a fleet in a folder, signatures of what a robot
+measured, and all that one robot needs to sign and to verify. Key files are written so that no other user can read
+them.
 
 `NAME.sign` is a private key (PKCS8) that its owner alone may read, `NAME.sign.pub` the public half, for everybody.
 """
@@ -126,7 +128,7 @@ def _read(path: Path) -> tuple[bytes, int]:
         raise UnusableKeyError(f"cannot be read ({error.strerror}); give this user the right to") from None
 
 
-# --- key folder ---
+# --- public keys in a folder ---
 # The public keys of a fleet as they lie in a folder, to which people add and from which they remove while robots
 # dive.
 #
@@ -213,7 +215,7 @@ def _to_mend(found: Found) -> list[str]:
     return lines
 
 
-# --- signing ---
+# --- signatures ---
 # A robot's signature under what it measured itself, put there as a message leaves: nothing recorded needs the key.
 #
 # The kernel gives its own entries, samples and proposals without one, and passes on those of others with theirs.
@@ -273,7 +275,7 @@ def signing(robot: str, private: Ed25519PrivateKey) -> Sign:
     return sign
 
 
-# --- robot keys ---
+# --- keys of one robot ---
 # All that one robot needs to sign and to believe, from the folder that its fleet file names, read before it dives.
 
 VARIABLE = "AUCAMP_KEYS"  # names the folder of keys on this computer; goes before the fleet file's

@@ -1,4 +1,6 @@
-"""Processes of ours, started as a user would start them. Stopped whatever happens; they end with us."""
+"""Processes of ours, started as a user would start them and stopped whatever happens: they end with their parent. Free
+ports, and the signal that ends a command.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,7 @@ from agent.clock import machine
 from agent.process.command import Failed
 from agent.robot.fleet_reader import MAX_PORT
 
-# --- parent watch ---
+# --- a process that ends with its parent ---
 # A process that ends with the one that started it, however that ended: after SIGKILL nobody can stop his children.
 #
 # They share a pipe. Only the parent can write to it, and it never does; when the parent has gone, the kernel closes
@@ -66,7 +68,7 @@ def _watch(given: int) -> None:
     os._exit(128 + signal.SIGTERM)  # it hangs, or compiles
 
 
-# --- launch ---
+# --- processes of ours ---
 
 STOP_S = GRACE_S  # from SIGTERM to SIGKILL
 
@@ -192,7 +194,7 @@ def last_line(log: Path) -> str:
     return f"{lines[-1]} (all in {log})" if lines else f"no output in {log}"
 
 
-# --- ports ---
+# --- free ports ---
 # Ports of this computer: which are free, asked as Zenoh asks, by binding them for a moment.
 
 # Above the ports of the fleet files that ship and of the router, up to 29340: well below the ephemeral range.

@@ -1,4 +1,5 @@
-"""The newest words of each neighbour, between two steps.
+"""What links bring between two steps: the newest messages of each neighbour, operator orders until they are answered,
+liveliness tokens, and links of strangers.
 
 What one neighbour says about one target may fill KEPT places and no more: the newest stay. That loses nothing, as
 evidence is a sum, and the newest estimate stands for those before it; a gap in the numbers tells of the rest. No
@@ -145,7 +146,7 @@ class Inboxes:
         return self._elsewhere.get(row[1]["src"]) if row and row[0] is LINK else None
 
 
-# --- orders ---
+# --- operator orders ---
 # Orders between two steps: queries are kept until the step that took them has been recorded, and then answered.
 #
 # Zenoh's threads only judge a query by its outside and keep it. One is answered there, at once: it asks what time it

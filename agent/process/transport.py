@@ -1,4 +1,5 @@
-"""The network <-> messages.
+"""The network <-> messages: what an agent and an observer publish and receive, the clock a fleet lives by, and the
+router.
 
 On arrival it is checked who sent, how it is encoded and how long it is; decoding and believing are the kernel's.
 """

@@ -224,7 +224,7 @@ def board_points(board_m: Vector) -> list[Vector]:
     ]
 
 
-# --- bench ---
+# --- the bench ---
 # Where a camera is calibrated: the twin's own bench, or a board that a person moves when told to.
 #
 # Either yields the camera and what places board and gimbal before it. A real gimbal is moved through the robot's
@@ -283,7 +283,7 @@ def size(fleet: Fleet) -> tuple[int, int]:
     return fleet.camera.width_px, fleet.camera.height_px
 
 
-# --- the run ---
+# --- `aucamp calibrate run` ---
 # `aucamp calibrate run`: sets up the bench, runs the procedure, writes the calibration file.
 
 

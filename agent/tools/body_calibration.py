@@ -1,4 +1,6 @@
-"""`aucamp calibrate body`: the recording of a trial -> the robot's mass, inertia and drag in its calibration file."""
+"""`aucamp calibrate body`: the recording of a trial -> the robot's mass, inertia and drag in its calibration file, from
+how it moved under the forces that it asked for.
+"""
 
 from __future__ import annotations
 
@@ -34,7 +36,7 @@ from agent.process.command import Failed, Show, with_bar
 from agent.tools.focus_calibration import CalibrationRefused, check_file, put
 from replay.check.reexecute import BlackBox, open_box, take
 
-# --- body fit ---
+# --- the fit ---
 # A robot's mass, inertia and drag from how it moved under the forces that it asked for.
 #
 # Prediction error method (Ljung, "System Identification", 1999, chapter 7): the pose filter runs over the trial with
@@ -204,7 +206,7 @@ def _check(trial: Trial) -> int:
     return len(fixes)
 
 
-# --- body ---
+# --- `aucamp calibrate body` ---
 
 LARGEST_MISFIT = 2.5  # beyond it the fixes are missed by more than their covariances, and the water's noise, explain
 ROWS = (

@@ -1,4 +1,5 @@
-"""`aucamp calibrate camera`: intrinsics from photographs of a chessboard, taken in the water that will be dived in.
+"""`aucamp calibrate camera`: intrinsics from photographs of a chessboard, taken in the water that will be dived in; the
+fit of a camera and of the servos of its gimbal; and `aucamp calibrate gamma`, how a camera codes light.
 
 A flat port bends rays much as a lens with some pincushion distortion would, so the water needs no model of its own:
 focal length, centre and two radial terms take it in (perception of a target near the optical axis uses the first two).

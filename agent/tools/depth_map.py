@@ -1,4 +1,6 @@
-"""`aucamp depth-map SOURCE`: sweep the focus once, give each block the distance of its clarity peak."""
+"""`aucamp depth-map SOURCE`: sweep the focus once, give each block the distance of its clarity peak; as a picture, a
+table and in words.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
 """`aucamp enhance SOURCE`: an image, a folder of images, a video or a camera, written enhanced to another folder.
+Sources of pictures by name, and pairs of pictures from two folders.
 
 The output is always 8-bit colour, PNG for images and for the frames of a camera, MP4 for videos.
 """

@@ -1,9 +1,9 @@
-"""`aucamp enhance --evaluate RAW REFERENCE`: figures of merit of every way, picture by picture, against references.
+"""`aucamp enhance --evaluate RAW REFERENCE`: how good every way to enhance is, picture by picture, against references.
 
 Protocol: pictures of the same name (their endings may differ), scaled to 256x256 by area or as `--size` says, enhanced
 there, clipped and rounded to 8 bits. PSNR over the three colours together; SSIM of the grey pictures, window 11,
 sigma 1.5; UCIQE and UIQM of the enhanced picture alone. Hue kept: of the pixels that are warm and vivid in the
-reference, those that have its hue (warm.py). Made worse: pictures with a PSNR 0.3 dB below that of the raw one.
+reference, those that have its hue (`kept_warm`). Made worse: pictures with a PSNR 0.3 dB below that of the raw one.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def _hue_chroma(image: Image) -> tuple[NDArray[np.float32], NDArray[np.float32]]
     return np.asarray(np.degrees(np.arctan2(b, a)) % 360, np.float32), np.asarray(np.hypot(a, b), np.float32)
 
 
-# --- metrics ---
+# --- quality of a picture ---
 # How good a picture is: PSNR, SSIM and warm colours against a reference, UCIQE and UIQM without one.
 #
 # Pictures are (height, width, 3) uint8, blue green red. PSNR is one figure over all three colours, SSIM is taken on
@@ -203,7 +203,7 @@ def _michelson_entropy(plane: Plane) -> float:
     return float(-(m * np.log(np.where(m > 0, m, 1))).mean())
 
 
-# --- summary ---
+# --- summary of several ways ---
 # Several enhancements side by side: means over the pictures, colours kept, and how many pictures were made worse.
 
 WORSE_DB = 0.3  # below the picture as it was: less is not seen
@@ -252,7 +252,7 @@ def percent(share: float) -> str:
     return "-" if math.isnan(share) else f"{100 * share:.0f} %"
 
 
-# --- evaluate ---
+# --- evaluation ---
 
 OWN_SIZE = "own"  # as --size: each picture as large as it is
 LEAST_PX = 16  # a side; SSIM's window has 11

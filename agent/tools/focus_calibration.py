@@ -1,4 +1,6 @@
-"""`aucamp calibrate focus`: a table of (range, sharpest lens position) -> h(rho), its worth, and a verdict in words."""
+"""`aucamp calibrate focus`: a table of (range, sharpest lens position) -> h(rho), its worth, and a verdict in words.
+The fits that calibration uses, and the calibration file with its parts.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +26,7 @@ from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import TiltedPeak, with_sag
 from agent.process.command import Failed, free_name
 
-# --- fit ---
+# --- fits ---
 # Fit what calibration measured: the focus hyperbola. And how such fits are made, on a handful of unknowns: by Gauss-
 # Newton with Huber weights.
 #
@@ -176,7 +178,7 @@ def _held_out_m(u: Array, rho: Array, trust: Array, distance: float) -> Array:
     return error
 
 
-# --- calibration file ---
+# --- the calibration file ---
 # A calibration file that is made of parts: one table of it is measured anew, what it said before is kept beside it.
 
 TABLES = ("focus", "camera")
@@ -219,7 +221,7 @@ def put(path: Path, table: str, fields: dict[str, Any], source: Path) -> str:
     return said + "".join(f"\n[{each}] is missing; a robot needs it: aucamp calibrate {each}" for each in missing)
 
 
-# --- focus table ---
+# --- the table of ranges ---
 
 REQUIRED = ("u_mm", "code")
 OPTIONAL = ("camera", "direction", "repeat", "score", "width", "tilt_deg", "temp_c", "medium", "sweep_id")

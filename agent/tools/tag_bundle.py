@@ -1,4 +1,5 @@
-"""Places of tags and of the camera that saw them, adjusted together until every corner is where it was seen.
+"""Bundle adjustment of a survey of tags: places of tags and of the camera, adjusted together until every corner is
+where it was seen.
 
 Bundle adjustment (Triggs et al. 2000): Gauss-Newton on all poses at once, those of the camera eliminated by the Schur
 complement, each tag's eight numbers weighed together and robustly (Huber). Unknown beside poses: each print's own size,
@@ -18,7 +19,7 @@ from agent.capabilities.swim.projection import BENT_PX, EDGE_AT, EDGE_PX, FOUND_
 from agent.core.step_io import SeenTag
 from agent.perception.tags import Array
 
-# --- rotation ---
+# --- rotations ---
 # Small turns as vectors, and rotations: right-handed, rad.
 
 
@@ -50,7 +51,7 @@ def turned_by(rotation: Array) -> Array:
     return out
 
 
-# --- survey bundle ---
+# --- bundle adjustment ---
 
 HUBER = 4.0  # of a tag's eight residuals, whose mean length is 2.8
 PASSES = 40
@@ -253,7 +254,7 @@ class _Problem:
 
 
 def whitener(tag: SeenTag, f_px: float, width_px: int) -> Array:
-    """(8, 8) that makes the noise of a tag's corners, px, white: that of tag_noise.py without the survey's part."""
+    """(8, 8) that makes the noise of a tag's corners, px, white: that of projection.py without the survey's part."""
     flat = f_px * np.array(tag.corners)
     offset_px = OFFSET_PX + BENT_PX * (tag.rho_px / (EDGE_AT * width_px)) ** 3
     stretch = STRETCH * (flat - flat.mean(axis=0)).ravel()

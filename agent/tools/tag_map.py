@@ -1,4 +1,5 @@
-"""`aucamp calibrate landmarks`: a map of the tank's tags from a film of them, and how well each is known.
+"""`aucamp calibrate landmarks`: a map of the tank's tags from a film of them, and how well each is known: the pictures
+that say something new, a start, the adjustment, and the result.
 
 Some places must be measured by hand, or nobody knows where the tank is: of all tags that the fleet file lists, or of
 those named by --known, what it says counts with the sigma that it states. All others are found, flat on their faces.
@@ -30,7 +31,7 @@ from agent.tools.tag_bundle import CORNERS, HUBER, Bundle, Cameras, Prior, Surve
 from agent.tools.tags import check_size
 from replay.check.reexecute import STEP_BYTES, BlackBox, black_boxes, open_boxes
 
-# --- survey result ---
+# --- the result ---
 # What a survey of tags found: the table for people, and the table [landmarks] for robots, in a file of its own.
 
 BAD_SHARE = 0.2  # of the views of a tag: something is wrong with it, not with them
@@ -125,7 +126,7 @@ def put(path: Path, text: str) -> str:
     return said if kept is None else f"{said}; the survey as it was: {kept}"
 
 
-# --- survey views ---
+# --- pictures ---
 # The pictures of a survey: of a video, a folder or a dive's recordings, those that say something new of two tags.
 
 FRESH = 0.05  # of the picture's width that tags move between two that are taken: nearer ones share their errors
@@ -200,7 +201,7 @@ def _focal(calibration: Calibration) -> float:
     return float(np.sqrt(variance)) if variance > 0.0 else FOCAL
 
 
-# --- survey start ---
+# --- a start for the adjustment ---
 # Where cameras and tags about are, to begin a survey from: one picture after another, from the tags that are known.
 #
 # A picture that shows tags of known place has a pose (perspective-n-point); then its other tags have one too, each
@@ -287,7 +288,7 @@ def placed_by(seen: SeenTag, pose: tuple[Array, Array], size_m: float, tank: Tan
     return None
 
 
-# --- landmarks ---
+# --- `aucamp calibrate landmarks` ---
 
 FLAT_M, FLAT_DEG = 0.002, 0.3  # sigma of a glued plate: how far off its face, and how it leans
 PRINT = 0.001  # relative sigma of each print's size

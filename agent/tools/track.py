@@ -1,4 +1,5 @@
-"""`aucamp track SOURCE --box X,Y,W,H`: follow what is in the box through a folder, a video or a camera's frames.
+"""`aucamp track SOURCE --box X,Y,W,H`: follow what is in the box through a folder, a video or a camera's frames; draw
+it, and compare it with boxes that a person has marked.
 
 One line a frame on standard output; with --out also the pictures, with the box drawn in; with --truth how well the box
 agrees with boxes that somebody has marked.
@@ -26,7 +27,7 @@ from agent.process.command import new_file, new_folder, plain_console, run_folde
 from agent.tools.enhance import Picture, Pictures, pictures
 from hw.camera.camera import Image
 
-# --- followed pictures ---
+# --- pictures with the box ---
 # Pictures with the box that was followed drawn in: a folder of them, or a video.
 
 VIDEOS = {".mp4": "mp4v", ".avi": "MJPG"}  # suffix -> codec that every OpenCV writes
@@ -96,7 +97,7 @@ def _save(folder: Path, image: Image, name: str) -> None:
         raise ConfigError(f"{path}: cannot be written; choose another folder")
 
 
-# --- track truth ---
+# --- against marked boxes ---
 # How well a followed box agrees with boxes that somebody has marked: `aucamp track SOURCE --truth FILE`.
 
 ON_TARGET_IOU = 0.5  # from here on a box is on the thing, as in most tests of trackers
@@ -234,7 +235,7 @@ def table(score: Score) -> Table:
     return shown
 
 
-# --- follow box ---
+# --- following ---
 
 HEADER = "picture,t_s,x_px,y_px,width_px,height_px,score,state"
 

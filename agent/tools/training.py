@@ -1,4 +1,5 @@
-"""The training loop: pairs in, weights out. Everything follows from the seed; one that was cut off goes on as if not.
+"""The training loop of LU2Net: pairs in, weights out; its losses, and what the weights are worth on real pairs.
+Everything follows from the seed; a training that was cut off goes on as if it had not been.
 
 Adam, cosine rate, and a running average of the weights, which is what is validated and shipped. Batches mix sizes of
 whole views, for the attention sees the mean of the whole picture and must not learn the means of small cut-outs.
@@ -41,7 +42,7 @@ from agent.tools.training_scenes import Image
 CROSS_ENTROPY = 0.05
 WARM = 1.0  # weight of the colour of warm things: about a third of the loss while they come out wrong
 DULL = 20.0  # chroma up to which a colour is not vivid; twice that it is wholly (sand and rock stay below 30)
-YELLOW = -0.364  # a over b at the hue of 110 degrees, the end of what is warm (warm.py)
+YELLOW = -0.364  # a over b at the hue of 110 degrees, the end of what is warm (evaluate_enhance.py)
 LEAST_WARM = 0.01  # share of the pixels: fewer warm ones count less
 AB_LEVELS, AB_RANGE = 7, 80.0  # soft bins of CIELAB's a and b
 HUES_RAD = (0.0, math.pi / 2, math.pi, 3 * math.pi / 2)
@@ -118,7 +119,7 @@ def _cross_entropy(ours: Tensor, theirs: Tensor) -> Tensor:
     return (log_theirs.exp() * (log_theirs - log_ours)).sum(0).mean()
 
 
-# --- train ---
+# --- training loop ---
 
 SIZES = ((64, 10), (96, 5), (96, 5), (128, 3), (160, 2))  # px a side and pictures a batch; each step draws one
 NARROWEST = 0.6  # share of a picture that a crop keeps at least
@@ -135,7 +136,7 @@ class Plan(NamedTuple):
     steps: int
     seed: int = 0
     rate: float = 1e-3  # learning rate at its highest
-    augment: bool = False  # real pairs stand for many others (augment.py)
+    augment: bool = False  # real pairs stand for many others (training_pairs.py)
     sizes: tuple[tuple[int, int], ...] = SIZES
     validate_every: int = 250
 
@@ -315,7 +316,7 @@ def validate(net: LU2Net, pairs: Pairs) -> tuple[float, float]:
     return mean_psnr_db, mean_ssim
 
 
-# --- validate ---
+# --- validation ---
 # What an enhancement is worth on real pairs: beside the simple methods, and on scenes that it was not trained on.
 
 Method = Callable[[Image], Image]

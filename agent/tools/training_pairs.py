@@ -1,4 +1,5 @@
-"""The training pairs of our own making, written once to a folder and read from there picture by picture.
+"""Pairs of pictures for training: of our own making, written once to a folder and read from there picture by picture;
+renders of the twin; augmented real pairs; and what may be asked of a training.
 
 Of six pairs three are landscapes of noise, two photographs, and one is a view of the twin's tank: tanks look alike.
 Most landscapes and photographs have vivid things in them, and some have no water.
@@ -48,14 +49,14 @@ from hw.twin.optics.painter import Painter
 from hw.twin.optics.raycast import Chessboard, Eye, Hull
 from hw.twin.scene import SceneWater, Solid, load_scene
 
-# --- augment ---
+# --- augmentation ---
 # What a hundred real pairs are made of to stand for all water: their own, other water, and hardly any.
 #
 # A pair is used in one of three ways. As it is, with another white balance, exposure and contrast of the camera. Its
-# reference in drawn water (degrade.py), for blue, green and turbid seas that no pair shows. Its reference as good as
-# it is, so that the network learns to leave a good picture alone. In front of most of them are vivid things
-# (things.py), seen through the same water. In place of some of them stands a pair of our own making, lest what was
-# learned of other water and of vivid things be forgotten over the dull ones.
+# reference in drawn water (training_scenes.py), for blue, green and turbid seas that no pair shows. Its reference as
+# good as it is, so that the network learns to leave a good picture alone. In front of most of them are vivid things
+# (training_scenes.py), seen through the same water. In place of some of them stands a pair of our own making, lest
+# what was learned of other water and of vivid things be forgotten over the dull ones.
 #
 # The pair's own water, for things that are put into it, is fitted: raw = gain * reference + veil per colour, in
 # linear light. A thing that is nearer than the scene has lost less colour and has less veil in front of it.
@@ -137,7 +138,7 @@ def linear(image: Image) -> Picture:
 
 _LINEAR = ((np.arange(256) / 255) ** GAMMA).astype(np.float32)
 
-# --- renders ---
+# --- renders of the twin ---
 # Views of the tank twin with the water on and off: same eye, same surfaces, exact ranges.
 #
 # The twin's tank is a metre across and its default water is clear, so half of the views keep the twin's own water,
@@ -219,7 +220,7 @@ def _recoloured(picture: Picture, rng: np.random.Generator) -> Picture:
     return np.asarray(np.clip(mixed, 0.005, 1.5), np.float32)
 
 
-# --- dataset ---
+# --- the data set ---
 
 VIEWS_PER_TANK = 40  # a tank takes a second to fill
 NO_WATER = 0.1  # share of them that are as good as they shall be already

@@ -1,4 +1,5 @@
-"""Places that never were: terrain, boulders, growth and open water from noise, with the range of every pixel.
+"""Scenes to put water in, with the range of every pixel: landscapes of noise, vivid things and photographs; and the
+water.
 
 What matters to the enhancement is not what things are, but that colours, contrasts, ranges and textures come in every
 combination that a sea floor offers: sand and rock in dull colours, here and there something vivid, open water behind.

@@ -1,4 +1,6 @@
-"""`aucamp replay check`: are all robots of a run reproduced byte for byte, and did each hear what the others said?"""
+"""`aucamp replay check`: whether all robots of a run are reproduced byte for byte, and whether each heard what the
+others said. `--update` accepts what the kernel does today.
+"""
 
 from __future__ import annotations
 
@@ -39,7 +41,7 @@ from replay.files.log import info, parts, read
 from replay.files.mcap_file import Part, active
 from replay.files.mcap_walk import suspecting
 
-# --- links ---
+# --- who heard whom ---
 # Who heard whom: every message that a robot took in must be one that its sender gave out, byte for byte.
 #
 # One that is not was forged or damaged on the way, or the sender's recording is not whole. The signatures under what
@@ -210,7 +212,7 @@ def _count(steps: int) -> None:
         _done.value += steps
 
 
-# --- check ---
+# --- the verdict ---
 
 
 class Checked(NamedTuple):
@@ -351,7 +353,7 @@ def _finite(count: dict[str, Any]) -> dict[str, Any]:
     return {name: None if value == float("inf") else value for name, value in count.items()}
 
 
-# --- update ---
+# --- accepting new outputs ---
 # `aucamp replay check --update`: what the kernel does today becomes what the recording says, with a reason.
 #
 # Inputs stay as they were; only outputs are replaced, and the reason is kept in the header. The old file goes last,

@@ -34,7 +34,7 @@ from replay.files.log import info, parts, read
 from replay.files.mcap_file import environment, standing
 from replay.files.mcap_walk import run_note, suspecting
 
-# --- black box ---
+# --- the black box as arguments ---
 # A robot's recording as the argument list it is: what `Agent.step` was called with, and what it answered.
 #
 # The file says everything that a fresh `Agent` needs: fleet file and calibration as attachments, robot and
@@ -203,7 +203,7 @@ def head(file: Path) -> Head:
     return Head(about.run, about.attachments, steps, about.complete)
 
 
-# --- reexecute ---
+# --- re-execution ---
 
 TOLERANCE = 1e-9  # relative or absolute: a thousand times what rounding leaves, a millionth of what a measurement means
 CPU_CLASS = ("machine", "cpu.features")  # entries of the header that decide how floats are added up

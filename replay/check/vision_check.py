@@ -1,7 +1,8 @@
-"""`aucamp replay check --vision`: vision again on the recorded frames, against what it said at the time.
+"""`aucamp replay check --vision`: vision again on the recorded frames, against what it said at the time: what may
+differ, and what the kernel decides by it.
 
 Judged is what the kernel decides by vision, and what vision itself says of the frames that are kept losslessly; the
-limits and their reasons are in vision_limits.py. A target that is followed from frame to frame is not judged where
+limits and their reasons stand first. A target that is followed from frame to frame is not judged where
 frames are compressed: its tracker builds on all frames before. The function that sees is handed in: replay does not
 know perception.
 """
@@ -33,7 +34,7 @@ from replay.files.frames import Frames, pixels
 from replay.files.log import info, parts, read
 from replay.files.mcap_walk import suspecting
 
-# --- vision limits ---
+# --- what may differ ---
 # What may differ when vision looks at recorded frames again, and why so much.
 #
 # Frames that are kept losslessly give the same numbers, but for versions of OpenCV. A JPEG is not what vision saw:
@@ -93,7 +94,7 @@ def mean_shift(shifts: Sequence[tuple[float, ...]], allowed: float) -> Quantity:
     return Quantity(max(abs(sum(column)) / len(shifts) for column in zip(*shifts, strict=True)), allowed, len(shifts))
 
 
-# --- sweeps again ---
+# --- what the kernel decides by it ---
 # What the kernel decides of a sweep: the lens position of its peak and the place of the target, by what vision saw
 # then and by what it sees now in the recorded frames. Both are worked out here in the same way, so that they differ
 # by vision alone.
@@ -190,7 +191,7 @@ def _eye(box: BlackBox, state: State | None) -> Eye:
     return camera_pose(robot.pose, body, *level, *gimbal, surface_m)
 
 
-# --- vision check ---
+# --- vision again ---
 
 See = Callable[[NDArray[np.uint8], tuple[int, int, int, int], Sighting, Sighting | None], Sighting]
 MakeSee = Callable[[Fleet, CameraFit], See]

@@ -1,4 +1,5 @@
-"""THE table of what stands in a recording: channel, encoding, schema, writer. Nothing else spells a channel.
+"""The table of what stands in a recording: channel, encoding, schema, writer. No other file spells a channel. And the
+queue of entries that wait for the disk.
 
 Raw channels hold what nothing else can give back: recovery is there to keep them. Derived ones are for viewers: they
 follow from the raw ones, so replay does not read them, and a recording without them can have them made anew.
@@ -97,7 +98,7 @@ class Backlog:
         )
 
 
-# --- channels ---
+# --- the table of channels ---
 
 Encoding = Literal["msgpack", "json", "protobuf", "application/octet-stream"]
 PROTOBUF: Encoding = "protobuf"

@@ -28,7 +28,7 @@ from agent.core.step_io import Sighting
 from replay.files import channels
 from replay.files.channels import Entry, Schema
 
-# --- protobuf ---
+# --- protobuf messages ---
 # What our protobuf messages have in common, whoever makes them: how a file describes them, and how they say a time.
 
 
@@ -42,7 +42,7 @@ def stamp(t_ns: int) -> Timestamp:
     return Timestamp(seconds=t_ns // 10**9, nanos=t_ns % 10**9)
 
 
-# --- images ---
+# --- compressed images ---
 # foxglove.CompressedImage: a picture as viewers draw it, and as replay reads it again.
 
 
@@ -59,7 +59,7 @@ def compressed(message: bytes) -> bytes:
         raise Refusal("garbage", "is no foxglove.CompressedImage") from None
 
 
-# --- frames ---
+# --- camera frames ---
 
 # Of a JPEG: 60 kB for a full frame of 640x480 with sensor noise, 1.1 ms; PNG: 520 kB, 16 ms. Colour is kept at full
 # resolution, unlike a JPEG's habit: it is by their colour that balls are found. That costs a quarter more bytes, and

@@ -1,4 +1,6 @@
-"""What is in a recording, from a walk through one of its files: facts for programs, and one screen for a person."""
+"""What is in a recording, from a walk through one of its files: facts for programs, and one screen for a person. And
+how fast its clock went.
+"""
 
 from __future__ import annotations
 
@@ -16,7 +18,7 @@ from agent.core.codec import Refusal, decode, encode
 from replay.files.channels import CLOCK, STEP_IN, STEP_OUT, Entry, entry_on, network_topic
 from replay.files.mcap_walk import BEFORE, OWN, Attachment, Channel, Damage, Message, Metadata, Schema, Tear, records
 
-# --- clock rate ---
+# --- rate of the clock ---
 # How fast the clock goes by which a recording is stamped: noted twice a second of it, on the channel CLOCK.
 #
 # A dive in the twin has a clock of its own, faster or slower than the wall's and not evenly so. Each note ties the
@@ -95,7 +97,7 @@ def pace(moments: Iterable[Moment]) -> Pace | None:
     return Pace((dive[-1].now_ns - dive[0].now_ns) * 1e-9, wall_ns * 1e-9, min(rates), max(rates))
 
 
-# --- info ---
+# --- what is in a recording ---
 
 STEP_HZ = 20.0  # of an agent's loop
 SHOWN = ("kind", "fleet", "robot", "protocol", "part", "incarnation", "commit", "dirty", "cpu", "machine", "python")

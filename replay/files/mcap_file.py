@@ -1,4 +1,5 @@
-"""One MCAP file under construction. Reading is mcap_walk.py's; nothing else imports mcap.
+"""One MCAP file under construction: its name, its lock, what it says of code and machine, and its records. Reading is
+`mcap_walk`'s.
 
 NAME.mcap.active is being written, or its writer was killed; NAME.mcap has been finished and has a summary. Metadata
 `aucamp.run` comes first, `aucamp.end` last; without the latter the end was not clean.
@@ -129,7 +130,7 @@ def is_held(path: Path) -> bool:
     return False
 
 
-# --- names ---
+# --- names of files ---
 # What the files of a recording are called.
 #
 # r1.mcap, r1.part002.mcap ...   a recording and its later parts r1.2.mcap                      the same robot started
@@ -187,7 +188,7 @@ def _stem(path: Path) -> str:
     return path.name.removesuffix(SUFFIX).removesuffix(".mcap")
 
 
-# --- mcap file ---
+# --- a file under construction ---
 
 CHUNK_BYTES = 256 * 1024  # the format's default, 1 MiB, is minutes of telemetry: all lost when the process is killed
 

@@ -1,7 +1,8 @@
-"""A walk through one MCAP file, whatever its bytes are: its records in order, and what in it cannot be believed.
+"""A walk through one MCAP file, whatever its bytes are: its records in order, and what in it cannot be believed by
+digests, counts and index.
 
 No length in the file is believed before it is known to lie within the file and within LARGEST, so that a corrupt one
-costs no memory. All checksums of the format are checked, and our own digests (digests.py).
+costs no memory. All checksums of the format are checked, and our own digests.
 """
 
 from __future__ import annotations
@@ -107,7 +108,7 @@ class HashedFile:
         return self._digest.hexdigest()
 
 
-# --- mcap audit ---
+# --- audit of the end of a file ---
 # What a file says of itself at its end, held against what a walk through it met: index, counts, checksums, digests.
 #
 # A file of ours has all of these. One that something else wrote is judged by the checksums alone, and one from before
@@ -310,7 +311,7 @@ class Audit:
             self.add("something follows its last note", True)
 
 
-# --- mcap walk ---
+# --- the walk ---
 
 __all__ = ["Attachment", "Channel", "Damage", "Message", "Metadata", "Schema", "Tear", "records", "run_note"]
 

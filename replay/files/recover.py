@@ -1,4 +1,5 @@
-"""Mends a torn recording: copies all that is sound into a new file with a summary, and says what was lost.
+"""Mends a torn recording: copies all that is sound into a new file with a summary, and says what was lost. Agents,
+recorders and readers do so unasked.
 
 A file tears when its writer is killed, the power fails, the disk fills up or a copy breaks off. It is never changed
 itself. A black box is cut behind its last whole step; inputs without their outputs, perhaps of the very step that ended
@@ -231,7 +232,7 @@ def recover_all(paths: Iterable[Path], force: bool, say: Callable[[str], None]) 
     return code
 
 
-# --- auto recover ---
+# --- unasked ---
 # Recordings whose writer was killed are mended without being asked: by who starts again, and by who opens them.
 #
 # A robot that starts has better things to do than to read half a gigabyte, so that is left to a process of its own,

@@ -198,7 +198,7 @@ def _within(centre_px: tuple[float, float] | None, box: TrueBox) -> bool:
     return x0 - beside <= u <= x1 + beside and y0 - below <= v <= y1 + below
 
 
-# --- track tables ---
+# --- tables ---
 # Why a robot did not see a target that swims, and what it believed meanwhile: each time that it lost it.
 
 LOST_S = 0.3  # out of sight for longer, it has been lost

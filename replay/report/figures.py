@@ -1,4 +1,4 @@
-"""What each robot believed: prior and posterior per axis, the valid set as it saw it, and how far they disagreed."""
+"""The figures of a report: what robots believed, posture, clock, depth, focus, map, survey, and a target that swims."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def _apart(timelines: Sequence[RobotTimeline]) -> tuple[list[float], list[float]
     return times, apart
 
 
-# --- figures posture ---
+# --- posture ---
 # The robot's posture in the water: four pressures, the pulses of the four central thrusters, depth and tilt.
 
 NEUTRAL_US = 1500  # a pulse at which a thruster stands still
@@ -202,7 +202,7 @@ def hover(timeline: RobotTimeline, band_m: float = 0.010) -> dict[str, float] | 
     }
 
 
-# --- figures clock ---
+# --- clock ---
 # How fast the dive's clock went, over the run.
 
 
@@ -219,7 +219,7 @@ def rate(moments: Sequence[Moment], start_ns: int) -> Figure:
     return figure
 
 
-# --- figures depth ---
+# --- depth ---
 # A sweep as a picture that is sharp everywhere, and beside it how far each block is.
 
 
@@ -245,7 +245,7 @@ def depth_map(robot: str, t_s: float, depth: SweepDepth) -> Figure:
     return figure
 
 
-# --- figures focus ---
+# --- focus ---
 # The lens: clarity curves with their peaks, and the calibrated hyperbola with the peaks of this run on it.
 
 SHOWN = 6  # sweeps in one figure; more hide each other
@@ -312,7 +312,7 @@ def spread(sweeps: tuple[LoggedSweep, ...]) -> list[LoggedSweep]:
     return [sweeps[k] for k in sorted(chosen)]
 
 
-# --- figures map ---
+# --- map ---
 # The surroundings of the target at a scale at which covariances can be seen.
 
 
@@ -359,7 +359,7 @@ def add_ellipse(panel: Axes, centre_mm: tuple[float, float], cov_m2: Symmetric, 
     panel.add_patch(Ellipse(centre_mm, 2.0 * large, 2.0 * small, angle=angle_deg, fill=False, color=colour))
 
 
-# --- figures survey ---
+# --- survey ---
 # Figures of a survey: how much was known when, and of which part of the floor.
 
 NONE, SOME, KNOWN, THING = "0.88", "#fee08b", "#1a9850", "#4d4d4d"
@@ -405,7 +405,7 @@ def floor_above(fleet: Fleet, found: Surveyed) -> Figure:
     return figure
 
 
-# --- figures track ---
+# --- a target that swims ---
 # A target that swims: its track from above, who saw it when, how far off each robot was, and whose word that was.
 
 SEES, TRACK_KNOWS, BLIND = "C2", "C1", "0.85"

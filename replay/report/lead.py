@@ -1,4 +1,6 @@
-"""What leads a report: the sentence, the pictures, and each robot at the end; the page of a recording too."""
+"""What leads a report, and the page of a recording: the outcome in figures, one sentence of it, pictures, and each
+robot at the end.
+"""
 
 from __future__ import annotations
 
@@ -76,7 +78,7 @@ def _end(run: Run, timeline: RobotTimeline, way: Path3 | None) -> End:
     )
 
 
-# --- outcome ---
+# --- outcome in figures ---
 # What came of a run, as figures: what its sentence is made of.
 
 EARLY_S = 3.0  # before the last one: that early a robot ended, or fell silent, as on the page
@@ -221,7 +223,7 @@ def _robot(timeline: RobotTimeline) -> RobotOutcome:
     )
 
 
-# --- sentence ---
+# --- outcome in one sentence ---
 # What came of a run, in one sentence: who found what, when, how surely, and what went wrong. Pure.
 
 NUMBERS = ("no", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten")
@@ -373,7 +375,7 @@ def plain(parts: Sequence[Part]) -> str:
     return "".join(part.text for part in parts).replace(UNBROKEN, " ")
 
 
-# --- lead ---
+# --- the lead ---
 
 MOST_POINTS = 400  # of a way: more cannot be told apart
 KINDS = {1: "some", 2: "known", 3: "thing"}

@@ -1,5 +1,5 @@
-"""The page: one HTML file without script, and without anything from elsewhere; on a phone its figures form a column.
-And what it is made of: sections of tables and figures. What experts want is folded away; on paper it is not.
+"""A report as one HTML file without script and without anything from elsewhere: view from above, colours, pictures of
+the dive, and the template. On a phone its figures form a column.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class View:
         return f'<ellipse class="sure" rx="{large:.2f}" ry="{small:.2f}" {where}/>'
 
 
-# --- palette ---
+# --- colours ---
 # Colours of everything that shows a run: the report, its figures, and the page of a fleet; light, and dark.
 
 _LIGHT = """
@@ -303,7 +303,7 @@ def _svg(about: str, wide: float, high: float, drawn: Sequence[str]) -> Markup:
     return Markup(f'{head} aria-label="{escape(about)}">{"".join(drawn)}</svg>')
 
 
-# --- page template ---
+# --- the template ---
 
 STYLE = (
     PALETTE

@@ -1,4 +1,4 @@
-"""The tables of the report, each with its head first; cells are text."""
+"""The tables of a report, each with its head first; cells are text."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from replay.report.lead import ORDERED, OVER, End, ends, truth_of
 from replay.report.page import Row, Table
 from replay.report.timeline import SURVEYED, Array, RobotTimeline, Run, Surveyed, survey_rows
 
-# --- errors ---
+# --- errors at the end ---
 # The table of errors: what priors and posteriors missed the truth by, axis by axis, and whether they knew it.
 
 LATE = 10  # iterations at the end over which the posterior is judged
@@ -88,7 +88,7 @@ def relative_percent(estimate_m: Vector, truth_m: Vector, from_m: Vector = (0.0,
     return 100.0 * math.dist(estimate_m, truth_m) / math.dist(from_m, truth_m)
 
 
-# --- tables ---
+# --- other tables ---
 
 HEAD = ["robot", "x mm", "y mm", "z mm", "sigma mm", "first view", "iterations"]
 EVENTS = ["robot", "s", "event"]

@@ -1,4 +1,5 @@
-"""The timeline of a run as its fleet file tells it: what robots show on the network, for those without a black box.
+"""What there is of a run, in the shape that tables and figures need: series over time of each robot and target, from
+black boxes or from the fleet recorder.
 
 It has what each robot believed, whom it says it heard, its depth and tilt. It has no frames, no sweeps, no pressures
 and no pulses, and not what a robot really took in: that is in black boxes alone.
@@ -39,7 +40,7 @@ from replay.files.channels import CLOCK, STEP_OUT, network_topic
 from replay.files.info import Moment, in_dive, moment
 from replay.files.log import parts, read
 
-# --- robot timeline ---
+# --- one robot, by its black box ---
 # What a run's black boxes tell, in the shape in which figures need it: series over time, one timeline for each robot
 # and target.
 #
@@ -258,7 +259,7 @@ class _Collected:
         return Posture(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], rows[:, 4:8], rows[:, 8:16])
 
 
-# --- fleet timeline ---
+# --- a fleet, by its recorder ---
 
 
 class FleetFile(NamedTuple):
@@ -380,7 +381,7 @@ class _Robot:
         ]
 
 
-# --- the run ---
+# --- a run ---
 # What there is of one run, gathered for its report: black boxes, the fleet file, and what a twin knows.
 
 
@@ -473,7 +474,7 @@ def _truths(summary: dict[str, Any] | None, fleet: Fleet) -> dict[str, Vector]:
     return {target: tuple(about["truth_m"]) for target, about in resting.items()}
 
 
-# --- surveyed ---
+# --- a survey ---
 # What the robots of a survey said of it, from their black boxes: how much each knew when, and what they measured.
 
 SURVEYED = "At the end. Maps are equal where these digits are."  # about what `survey_rows` says

@@ -1,4 +1,5 @@
-"""Our structs as foxglove.* protobuf messages: what Foxglove and Rerun draw without a converter.
+"""Our structs as foxglove.* protobuf messages, which Foxglove and Rerun draw without a converter; and numbers over time
+for plots.
 
 Frames: `world` (corner of the tank's floor, z up), `<robot>/body` (x forward, y left, z up), `<robot>/gimbal` (turned
 with the camera, x along the optical axis) and `<robot>/camera` (z forward, x right, y down). Lengths in metres, time

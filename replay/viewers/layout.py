@@ -1,4 +1,5 @@
-"""Foxglove's arrangement of views for any fleet, made from the one that is shipped, for r1 to r3 and one target.
+"""Arrangements of views for Foxglove and Rerun. Foxglove's, for any fleet, is made from the one that ships, for r1 to
+r3 and one target.
 
 What stands there for r1 is repeated for each robot of the fleet, and for each of several targets; the 3-D view looks at
 the middle of the fleet's tank.
@@ -154,7 +155,7 @@ def _row(panels: list[str]) -> Any:
     return {"first": panels[0], "second": _row(panels[1:]), "direction": "row", "splitPercentage": share}
 
 
-# --- rerun blueprint ---
+# --- Rerun ---
 # Writes `layouts/rerun.rbl`, the arrangement of views in which Rerun opens a recording of three robots.
 #
 # Rerun keeps such files in a binary form of its own; this is the text behind it. With the extra `view`, `python -m

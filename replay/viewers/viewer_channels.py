@@ -49,7 +49,7 @@ from replay.files.log import Record
 from replay.viewers import foxglove
 from replay.viewers.foxglove import plot
 
-# --- survey channels ---
+# --- a survey ---
 # What viewers see of a survey: what each sweep measured, where each robot looks next, and the map that comes of it.
 #
 # The map is that of all keyframes which this recording holds: the robots' own, once they have told each other all.
@@ -216,7 +216,7 @@ def sweep_points(depth: SweepDepth, camera: CameraFit) -> tuple[NDArray[np.float
     return np.stack([x, y, z], axis=1).astype(np.float32), colours.round().astype(np.uint8)
 
 
-# --- viewer channels ---
+# --- channels ---
 
 M = TypeVar("M", bound=Message)
 

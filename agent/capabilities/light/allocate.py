@@ -1,4 +1,5 @@
-"""Which lamps shall burn while one robot sweeps: flips of one lamp at a time, each kept if the sweep gains by it.
+"""Which lamps burn while one robot sweeps: what a sweep is worth in their light, the choice of lamps by flips of one
+lamp at a time, what a choice costs robots that lend, and where lamps point. A flip is kept if the sweep gains by it.
 
 The same inputs give the same set on every robot and every processor: names are taken in their order, and the
 logarithm of the information is rounded before two of them are compared.
@@ -34,7 +35,7 @@ from agent.core.ranging.camera_model import Calibration, Eye, camera_pose, look_
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Telemetry
 
-# --- information ---
+# --- information of a focus sweep ---
 # What a focus sweep is worth in the light of a set of lamps: J, by which the range's variance falls.
 #
 # The exposure is that which this set gets: a lamp too near to a target burns it out, and is paid for by all others.
@@ -87,7 +88,7 @@ def worth(pairs: Sequence[Pair], depth_m: float, radius_m: float, focal_px: floa
     return Worth(log_j, contrast, sigma_mm, contrast > LEAST_CONTRAST and sigma_mm < WORST_MM)
 
 
-# --- allocate ---
+# --- allocation of lamps ---
 
 ROUNDS = 2
 LEAST_RISE = math.log(1.01)  # of log J, for which a lamp is flipped
@@ -180,7 +181,7 @@ def dazzles(scene: Scene, lamp_m: Vector) -> bool:
     return beyond and ahead > math.cos(GLARE_RAD)
 
 
-# --- frames ---
+# --- whole frames ---
 # How many blocks of a keyframe would show a clear peak, by the lamps that burn: whole frames instead of one target.
 #
 # Light on spots of what the view is expected to show, and the veil before each; all lamps aim at one place of it. The
@@ -398,7 +399,7 @@ def cannot(has: bool, lamp: LampControl, telemetry: Telemetry | None, silent: bo
     return "heat" if lamp.warm >= TOO_WARM else ""
 
 
-# --- choice of lamps ---
+# --- choice of lamps, and what it costs robots that lend ---
 # Which lamps to ask for: the rule of allocate.py, and what it costs those who lend.
 #
 # A lamp that is warm, or whose robot's battery runs low, is asked for only if the sweep gains as much by it as by

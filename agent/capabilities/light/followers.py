@@ -1,4 +1,4 @@
-"""Whose lamps burn while robots follow what swims.
+"""Whose lamps burn while robots follow a target that swims, and one robot's part in that.
 
 A fish is followed by frames, none of which has to be like the one before: a lamp that changes spoils nothing, and no
 lease is needed. Where everybody knows where all are and where the target is, each works out the same set of lamps by

@@ -1,4 +1,5 @@
-"""Who has the light: one robot of a fleet at a time, as a state machine without a clock, pictures or lamps.
+"""Which robot has the light: one robot of a fleet at a time, by a state machine without a clock, pictures or lamps. And
+the check that no lamp changed in a sweep, and the messages of both.
 
     free --ask--> asks --all answered, or guard over--> holds --release--> free
     free, asks --a neighbour's lease--> obeys --it is over--> free

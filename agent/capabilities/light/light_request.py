@@ -88,7 +88,7 @@ class Wishes(Revertible):
         return lens_position(self._calibration.focus, math.dist(scene.camera_m, scene.target_m) - scene.radius_m)
 
 
-# --- search ---
+# --- light for a search, while no robot knows where the target is ---
 # Where a robot asks for light while nobody knows where the target is.
 #
 # A lamp beside the camera shows what is near. Farther out its veil outshines every target, and a neighbour's lamp
@@ -97,10 +97,10 @@ class Wishes(Revertible):
 # names there would show a target to this camera, and the own lamp would not. Whoever knows no more looks there as
 # well, while it is lit.
 #
-# A robot that swims in search of a target has a gaze that goes all around (control/roam.py), and wants light where
+# A robot that swims in search of a target has a gaze that goes all around (search_pattern.py), and wants light where
 # that is. When that has gone round often by its own lamp, a look that shows nothing is lit once, farther out, before
 # the next. That is for half of the time at most, for all hold still meanwhile, and what nobody sees from afar is
-# found by who comes near. What swims is looked for by a gaze that never rests (control/scan.py): after a while in
+# found by who comes near. What swims is looked for by a gaze that never rests (pursuit.py): after a while in
 # vain it stays for a lit look, too, and goes on from there.
 
 # From the camera. A lamp that shines on a place from 1.3 m away and 45 degrees aside lights the camera's axis from

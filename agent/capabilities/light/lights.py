@@ -1,4 +1,5 @@
-"""Light as part of a robot's step, in a fleet that lights for each other: which sweeps count, and how the lamp burns.
+"""Light as part of a robot's step: the answers of a fleet without [lighting], and a fleet that lights, which sweeps
+count there, and how the lamp burns.
 
 There is no sweep without a lease: the robot asks as soon as it knows where to look, looks and sweeps by the light that
 it got, and gives it back when all neighbours have said that nothing changed meanwhile. While nobody has a lease each
@@ -42,10 +43,10 @@ from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetState
 from agent.core.topics import LIGHT
 
-# --- by day ---
+# --- a fleet without [lighting] ---
 # What a robot's step asks of light, as it is answered by a fleet without [lighting]: by day.
 #
-# No lamp burns, each sweep may begin, and each counts. Fleets that light for each other answer in lamps/conduct.py.
+# No lamp burns, each sweep may begin, and each counts. Fleets that light for each other answer by `LentLights`.
 
 
 class Lights(Revertible):

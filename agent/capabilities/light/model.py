@@ -13,7 +13,7 @@ from agent.capabilities.light.veil_table import ANGLE_DEG, LOG_TIMES, RATIO, SCA
 from agent.core.config import Beam, Lighting, WaterOptics
 from agent.core.messages import Vector
 
-# --- phase ---
+# --- phase function ---
 # Into which directions particles scatter light: Fournier and Forand, Proc. SPIE 2258 (1994), 194-201.
 #
 # With the index and the slope of sizes below 0.018 of it goes backwards, the mean of Petzold's measurements.
@@ -40,7 +40,7 @@ def phase(angle_rad: float) -> float:
     return front / (4.0 * math.pi * (1.0 - d) ** 2 * power) + back
 
 
-# --- orders ---
+# --- multiple scattering ---
 # Veil of all orders of scattering over that of a single one, by a table of Monte Carlo.
 #
 # Lengths count in scattering lengths, so that a table in (b times distance, share of scattering in attenuation,
@@ -87,7 +87,7 @@ def _between(nodes: tuple[float, ...], x: float) -> tuple[int, float]:
 
 SIZES = (len(TAU), len(SCATTERING_SHARE), len(ANGLE_DEG), len(RATIO))
 
-# --- model ---
+# --- light and veil of one lamp ---
 
 Colours = tuple[float, float, float]
 

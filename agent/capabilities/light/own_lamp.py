@@ -1,4 +1,6 @@
-"""A robot's own lamp in its step: how it burns, by whoever's light it is, and what is said of it."""
+"""A robot's own lamp in its step: how it burns, by whose light, what telemetry says of it, and the robot's turns at the
+light.
+"""
 
 from __future__ import annotations
 

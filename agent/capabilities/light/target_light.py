@@ -1,4 +1,6 @@
-"""Light for a target: when a robot asks for it, for a sweep or for a look at the next place of a search."""
+"""When a robot asks for light: for a sweep of a target, for a look at the next place of a search, and for a view of a
+survey. And a ball that is lit from aside.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""keelson as a language of outward.py: robots are entities, what they say is what keelson has well-known subjects for.
+"""keelson as a language of `outward`: robots are entities, and what they say becomes keelson's well-known subjects.
 
 Its attitude is that of ISO 8855, and so is ours. It has no subject for depth, which stands in frame_transform, as z;
 none for a target; none for who hears whom.

@@ -1,4 +1,5 @@
-"""`aucamp bridge mavlink`: the socket to one ground station on this machine, and the threads in which orders wait.
+"""`aucamp bridge mavlink`: a fleet as vehicles of a ground station: messages, commands, parameters, and the socket to
+one station on this machine with the threads in which orders wait.
 
 MAVLink as it is used has no keys: who holds the port is believed. So it is a port of this machine, and a datagram from
 any other does not reach us.
@@ -28,7 +29,7 @@ from agent.process.certificates import credentials
 from agent.process.transport import LOOKER, Observer, fleet_clock
 from agent.robot.verbs import URGENT
 
-# --- telling ---
+# --- a vehicle as messages ---
 # A vehicle as messages of MAVLink. Pure; what is not known is marked as such, or left out. Source: common.xml.
 
 EARTH_M = 6_378_137.0  # equatorial radius of WGS84
@@ -131,7 +132,7 @@ def status_texts(level: Level, text: str, number: int) -> Iterator[Any]:
         yield mavlink.MAVLink_statustext_message(SEVERITY[level], piece, 0 if whole else number % NONE16 + 1, index)
 
 
-# --- asking ---
+# --- commands of a ground station ---
 # What a ground station wants, as an order of ours, or why it is none. Pure.
 
 EVERYBODY = 0  # as the target system: all

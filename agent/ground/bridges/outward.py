@@ -1,4 +1,5 @@
-"""From a fleet into somebody else's network of Zenoh, and never back.
+"""From a fleet into another network of Zenoh, and never back: which messages are a robot's own, which are recent
+enough, where its body is, and a State as a vehicle.
 
 That network is a second session, by their router on this machine. It knows no rules of ours: whoever reaches it could
 say anything, so nothing is heard there.
@@ -27,7 +28,7 @@ from hw.firmware.failsafe import SURFACE
 from router_config.session import Session
 from router_config.settings import client_config
 
-# --- a robot's own word ---
+# --- messages in a robot's own name ---
 # What a robot says in its own name.
 
 
@@ -165,7 +166,7 @@ def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
     )
 
 
-# --- vehicle ---
+# --- a robot as a vehicle ---
 # A robot's State as a vehicle: north, east, down, and the words of ArduSub. Pure, and without MAVLink's library.
 #
 # North is y of the world frame, east is x, down is from the surface. Heading counts clockwise from north. Roll is as

@@ -1,4 +1,4 @@
-"""ROS 2 as a language of outward.py: which topic of which robot a message belongs to, and its number there."""
+"""ROS 2 as a language of `outward`: keys and tokens of rmw_zenoh, the messages, and the topic of each message."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from agent.core.messages import Estimate, Image, Message, State
 from agent.core.topics import IMAGE, LINK, STATE, Topic, target_chunk
 from agent.ground.bridges.outward import WORLD, Foreign, placed
 
-# --- names ---
+# --- keys and tokens of rmw_zenoh ---
 # Keys and tokens by which rmw_zenoh finds topics, and what goes along with each message. Pure.
 #
 # Source: rmw_zenoh, docs/design.md: a topic's key, graph cache, attachment.
@@ -78,7 +78,7 @@ def nodes(session: str, domain: int, robots: dict[str, dict[str, Kind]]) -> dict
     return found
 
 
-# --- telling ---
+# --- messages ---
 # What robots show, as messages of ROS 2. Pure.
 #
 # Our world frame is ROS's own kind (REP 103): z up, body x ahead and y to the left; so are roll, pitch and yaw.

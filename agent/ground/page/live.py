@@ -76,7 +76,7 @@ class Recording:
             logger.warning("the recording ended: %s", error)
 
 
-# --- live ---
+# --- a running fleet ---
 
 SHOWN = (STATE, LINK, NEAR, CLAIM, IMAGE, LOG, ANSWER)
 PERIOD_S = 0.1  # of the wall, between two looks at what has arrived: states come no more often

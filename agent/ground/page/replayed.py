@@ -1,4 +1,6 @@
-"""A recording on the page: a cursor over the time at which its rows were recorded. Nobody can be ordered about."""
+"""A recording on the page: laid out by time, a cursor over it, and its outcome as the report says it. A recording takes
+no orders.
+"""
 
 from __future__ import annotations
 
@@ -112,7 +114,7 @@ def fleet_file(path: Path) -> Path:
     return found[0]
 
 
-# --- replayed ---
+# --- the cursor ---
 
 PERIOD_S = 0.05  # of the wall, between two steps of the cursor
 CLOCK_S = 0.25  # of the wall, between two notes of where it is

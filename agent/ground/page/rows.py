@@ -1,4 +1,5 @@
-"""What is on the network -> what the page is sent. Pure: live and from a recording the same row gives the same bytes.
+"""What is on the network -> what the page is sent, and what each open page has not been sent yet. Pure: live and from a
+recording the same row gives the same bytes.
 
 A key names what replaces what: of each only the newest is shown. Names of fields are those of the messages
 (docs/messages.md). Nanoseconds do not fit into a number of JavaScript: a stamp `x_ns` becomes `x_ms`, a float, and what

@@ -1,4 +1,5 @@
-"""The page's server: one HTML file and one WebSocket, for browsers on this machine and whoever was given the address.
+"""`aucamp page`: one HTML file and one WebSocket, for browsers on this machine and for people who were given the
+address.
 
 Whoever can reach the port is not yet somebody: a page of another origin that is open in the same browser reaches it,
 too. So every request says the right host (no DNS rebinding), the socket comes from our own page, and with the token,
@@ -192,7 +193,7 @@ class Site:
         return response
 
 
-# --- what does not change ---
+# --- facts that do not change while a page is open ---
 # What does not change while a page is open: the tank, the robots, who looks, and what may be ordered.
 
 Kind = Literal["live", "recording"]
@@ -263,7 +264,7 @@ def half_view_deg(calibration: Path) -> tuple[float, float] | None:
     return None
 
 
-# --- page ---
+# --- a page until it is ended ---
 # `aucamp page`: a running fleet or a recording, in a browser, until it is ended.
 
 Say = Callable[[str], None]
@@ -324,7 +325,7 @@ def page_of_recording(path: Path, stop: Event, port: int, say: Say) -> None:
         asyncio.run(run())
 
 
-# --- command ---
+# --- `aucamp page` ---
 # `aucamp page`: what is to be shown, as whom, and what is told to whoever typed it.
 
 

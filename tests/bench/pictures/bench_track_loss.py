@@ -1,8 +1,9 @@
 """Whether lost is said on real pictures: three clips of fish, and clips made of them and of real buoys.
 
 Reads ../shared/data; where that is absent there are no rows. Limits were chosen on the part "tuned"; "held out" has
-other fish and other cameras, and was looked at while FOUND_LIKE and SURE_COLOUR of follow.py, MAX_STEP of motion.py and
-the limits of meeting.py and look_alikes.py were settled, and frame by frame while surveys.py was written. "anew" and
+other fish and other cameras, and was looked at while FOUND_LIKE and SURE_COLOUR of follow.py, MAX_STEP of distractors.py and
+the limits of distractors.py and distractors.py were settled, and frame by frame while distractors.py was written.
+"anew" and
 "kept_back" were made afterwards (later_clips.py says what was chosen on the first of them).
 
 `python -m tests.bench.pictures.bench_track_loss gamma_0.7 half_rate --only filter` runs the same clips as another
