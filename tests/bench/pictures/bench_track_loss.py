@@ -1,7 +1,8 @@
 """Whether lost is said on real pictures: three clips of fish, and clips made of them and of real buoys.
 
 Reads ../shared/data; where that is absent there are no rows. Limits were chosen on the part "tuned"; "held out" has
-other fish and other cameras, and was looked at while FOUND_LIKE and SURE_COLOUR of follow.py, MAX_STEP of distractors.py and
+other fish and other cameras, and was looked at while FOUND_LIKE and SURE_COLOUR of follow.py, MAX_STEP of
+distractors.py and
 the limits of distractors.py and distractors.py were settled, and frame by frame while distractors.py was written.
 "anew" and
 "kept_back" were made afterwards (later_clips.py says what was chosen on the first of them).
