@@ -72,6 +72,28 @@ def dynamics(target: Target) -> Dynamics:
     return swimming(target.speed_m_s, target.turn_s)
 
 
+# --- what protocols of means share ---
+
+
+class Means(Revertible):
+    """A protocol whose robots tell their means: a mean has no origin that could sign it."""
+
+    t: int  # iterations
+
+    def by_others(self) -> Posterior | None:
+        return None  # means have no origins
+
+    def trust(self, keys: Mapping[str, bytes]) -> None:
+        pass  # a belief has no origin that could sign it
+
+    def adopt(self, t: int) -> None:
+        # One ahead is a neighbour in the same iteration that ticked first, and a robot that follows ends up beside it,
+        # not in front: else robots would drive each other through more iterations than there are periods, and alpha
+        # would shrink before the samples are in.
+        if t > self.t + 1:
+            self.t = t - 1
+
+
 # --- paper ---
 # The paper's protocol, equation (ac) and Algorithm 1 read literally (arXiv 2506.09876, section 4).
 #
@@ -88,7 +110,7 @@ def dynamics(target: Target) -> Dynamics:
 UNKNOWN: Symmetric = (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)  # 1 m: a neighbour that states no covariance
 
 
-class Paper(Revertible):
+class Paper(Means):
     """State of one robot for one target."""
 
     def __init__(self, validity_ns: int) -> None:
@@ -96,19 +118,6 @@ class Paper(Revertible):
         self.t = 0
         self.valid = False
         self.posterior: Posterior | None = None
-
-    def by_others(self) -> Posterior | None:
-        return None  # means have no origins
-
-    def trust(self, keys: Mapping[str, bytes]) -> None:
-        pass  # a belief has no origin that could sign it
-
-    def adopt(self, t: int) -> None:
-        # One ahead is a neighbour in the same iteration that ticked first, and a robot that follows ends up beside it,
-        # not in front: else robots would drive each other through more iterations than there are periods, and alpha
-        # would shrink before the samples are in.
-        if t > self.t + 1:
-            self.t = t - 1
 
     def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
         return ()  # only the newest word counts, and the mailbox has it
@@ -181,7 +190,7 @@ def _symmetric(v: Sequence[float]) -> Symmetric:
 CLIP = 3.0  # sigma of the own samples' mean: honest neighbours share most of their past and are nearer
 
 
-class Metropolis(Revertible):
+class Metropolis(Means):
     """State of one robot for one target."""
 
     def __init__(self, me: str, validity_ns: int, degree: int, clip: bool = False) -> None:
@@ -191,16 +200,6 @@ class Metropolis(Revertible):
         self.t = 0
         self.valid = False
         self.posterior: Posterior | None = None
-
-    def by_others(self) -> Posterior | None:
-        return None  # means have no origins
-
-    def trust(self, keys: Mapping[str, bytes]) -> None:
-        pass  # a belief has no origin that could sign it
-
-    def adopt(self, t: int) -> None:
-        if t > self.t + 1:  # see Paper.adopt
-            self.t = t - 1
 
     def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
         return ()
