@@ -126,7 +126,7 @@ def _strangers(fleet: Fleet, facts: Facts) -> Iterator[Finding]:
             yield Finding("warning", "fleet", text)
 
 
-# --- who hears whom ---
+# --- robots that hear each other ---
 # Who hears whom: what robots say of their neighbours, and whether those are linked at all. Pure.
 
 QUIET_S = 2.0  # without a word: as long as a link keeps without its other end
@@ -252,7 +252,7 @@ def ours(reason: str, shown: bool) -> str | None:
     return f"turns our certificate down ({reason}); {RENEW}"
 
 
-# --- probe ---
+# --- one port ---
 # Whether somebody answers where a robot should listen, and what is wrong with the certificates, theirs or ours.
 #
 # Zenoh tells nobody why a handshake failed. Python's own TLS does: the server's faults before the handshake is over,
@@ -386,7 +386,7 @@ def _first_with_key(fleet: Fleet, folder: Path) -> str:
     return next((name for name in names if key_file(folder, name).exists()), names[0])
 
 
-# --- diagnosis ---
+# --- lines and JSON ---
 # What the doctor has found, in lines for people and as JSON for programs.
 
 
@@ -413,7 +413,7 @@ class Diagnosis(NamedTuple):
         return {**about, "findings": [finding._asdict() for finding in self.findings]}
 
 
-# --- ports ---
+# --- all ports ---
 # The ports of all robots, dialled at the same time, and what is to be said of each.
 
 
@@ -449,7 +449,7 @@ def port_findings(fleet: Fleet, name: str, probed: Probed) -> Iterator[Finding]:
         yield Finding("warning", name, f"{listen}: {text}")
 
 
-# --- doctor ---
+# --- `aucamp doctor` ---
 
 
 def examine(path: Path, name: str | None, folder: Path) -> Diagnosis:

@@ -121,7 +121,7 @@ def fleet_name(path: Path) -> str:
     return name if re.match("[a-z]", name) else "fleet"
 
 
-# --- where keys go ---
+# --- what is said of the files ---
 # What `aucamp keys` says of the files that it made: whose each is, and what lies on which computer.
 
 
@@ -155,7 +155,7 @@ def _whose(file: Path) -> str:
     return "public, to every robot" if file.name.endswith(PUBLIC) else f"private, to {file.stem} alone"
 
 
-# --- make ---
+# --- `aucamp keys` ---
 # `aucamp keys`: signing keys, and certificates of a secured fleet; and in words what goes where.
 
 FOLDER = "keys"  # beside the fleet file, where nothing else is said

@@ -111,7 +111,7 @@ def intrinsics(folder: Path, columns: int, rows: int, square_mm: float, progress
     )
 
 
-# --- camera fit ---
+# --- fit of camera and gimbal ---
 # Fit a camera and the servos of its gimbal to corners of a board at known places.
 #
 # The optical axis meets the sensor some pixels beside its middle. A turn of the gimbal moves the picture by as much,
@@ -248,7 +248,7 @@ def _times(a: Array, b: Array) -> Array:
     return out
 
 
-# --- gamma ---
+# --- `aucamp calibrate gamma` ---
 # `aucamp calibrate gamma`: how a camera codes light, from tags that it sees out of focus.
 #
 # Blur spreads light evenly to both sides of an edge. So along a line across a black edge on white the light is half-

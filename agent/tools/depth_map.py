@@ -28,7 +28,7 @@ from hw.camera.open import open_camera
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-# --- depth picture ---
+# --- as a picture ---
 # A depth map as a picture, drawn by OpenCV: the library for figures takes longer to draw than the map to measure.
 
 PANEL_PX = 640  # a panel's longer side, at most
@@ -128,7 +128,7 @@ def text(page: Image, words: str, at: tuple[int, int], anchor: str = "start") ->
     cv2.putText(page, words, (x, at[1]), font, size, INK, 1, cv2.LINE_AA)
 
 
-# --- depth ranges ---
+# --- in words ---
 # What a calibration makes of the peaks of a map, in words: how many have a range, why the others have none.
 #
 # Nothing in a sweep says which camera took it. But peaks that the calibration cannot give a range to, that lie where
@@ -197,7 +197,7 @@ def _metres(focus: FocusFit, lens_position: float) -> str:
     return "no range" if range_m is None else f"{range_m:.2f} m"
 
 
-# --- depth files ---
+# --- as a table and a figure ---
 # A depth map as a table; and its squares in a figure of matplotlib.
 
 Line = list[object]
@@ -267,7 +267,7 @@ def draw_cells(
     axes.figure.colorbar(cells, cax=bar, label=label, extend="both")
 
 
-# --- depth map ---
+# --- `aucamp depth-map` ---
 
 
 def depth_map(

@@ -22,7 +22,7 @@ from hw.camera.camera import CameraGone
 from hw.camera.files import SUFFIXES, picture_files, read_picture
 from hw.camera.open import open_camera
 
-# --- sources ---
+# --- sources of pictures ---
 # A source of pictures by name: an image, a folder of images, a video file, or the address of a camera.
 
 READ_TIMEOUT_S = 2.0  # a camera that has just been opened takes longer than one that runs
@@ -115,7 +115,7 @@ def _shots(url: str, frames: int | None) -> Iterator[Picture]:
             number += 1
 
 
-# --- enhance ---
+# --- `aucamp enhance` ---
 
 FRAMES = 30  # of a camera, unless told
 
@@ -195,7 +195,7 @@ def film(found: Pictures, file: Path, render: Render, show: Progress) -> None:
         sink.release()
 
 
-# --- pairs ---
+# --- pairs of pictures ---
 # Pairs of pictures from two folders: one that is to be enhanced, and a reference of how it should look.
 #
 # The layouts in use: LSUI has input/ and GT/, UIEB raw-890/ and reference-890/, EUVP Paired/<subset>/trainA/ and

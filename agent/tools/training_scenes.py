@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from agent.core.config import ConfigError
 
-# --- degrade ---
+# --- water put into a picture ---
 # Water put into a picture, and the picture that the enhancement shall make of it.
 #
 # I = J exp(-bD z) + B (1 - exp(-bB z))        (Akkaynak and Treibitz, CVPR 2018), per colour, in linear light

@@ -387,7 +387,7 @@ def _wants(message: Any) -> int | None:
     return int(message.param1) if 0 <= message.param1 < 2**24 else -1
 
 
-# --- bridge ---
+# --- the socket ---
 
 HOST = "127.0.0.1"
 PERIOD_S = 0.02  # between two looks at what robots have said
