@@ -284,7 +284,6 @@ class Lighting(Struct, frozen=True, kw_only=True):
     beam: Beam = Beam()
     guard_s: Annotated[float, Meta(gt=0, le=5)] = 0.3  # how long a sweep waits for robots that it asked for light
     gain: Annotated[float, Meta(ge=0)] = 0.10  # of the information that borrowed light must bring, else the own lamp
-    follow: bool = False  # robots that follow what swims agree on lamps, too; else each lights for itself
 
 
 class Twin(Struct, frozen=True, kw_only=True):
@@ -442,7 +441,7 @@ def common(fleet: Fleet) -> str:
     if fleet.coverage is not None:
         shared["coverage"] = msgspec.to_builtins(fleet.coverage)  # maps of other cells never come out equal
     if fleet.lighting is not None:  # which robots have a lamp, and when it is lent
-        shared["lighting"] = _lighting(fleet.lighting)
+        shared["lighting"] = msgspec.to_builtins(fleet.lighting)
         shared["lamp"] = sorted(name for name, robot in fleet.robot.items() if robot.lamp)
     text = msgspec.json.encode(_plain(shared), order="sorted")
     return hashlib.sha256(text).hexdigest()[:16]
@@ -457,12 +456,6 @@ def _target(target: Target) -> dict[str, Any]:
     if target.detector == "ball":
         size = {"radius_m": target.radius_m, "radius_sigma_m": target.radius_sigma_m}
     return {"detector": target.detector, "colour": "sampled" if target.picture else target.ball_colour, **size, **swims}
-
-
-def _lighting(lighting: Lighting) -> dict[str, Any]:
-    """A setting that is off by default is left out, so that fleet files without it still agree."""
-    told: dict[str, Any] = msgspec.to_builtins(lighting)
-    return told if lighting.follow else {name: value for name, value in told.items() if name != "follow"}
 
 
 def _landmarks(landmarks: Landmarks) -> dict[str, Any]:

@@ -110,7 +110,7 @@ class Agent(Revertible):
         self._iterate(now_ns)
         self.lights.tick(self.attitude, now_ns)
         sweep = self._act(now_ns)
-        self.lights.burn(self.seek, self.current, self.targets, self.attitude, now_ns)
+        self.lights.burn(self.seek, self.current, self.attitude, now_ns)
         claims, keyframes = self.survey.say(now_ns)
         return Outputs(
             sweep=sweep,
@@ -225,7 +225,7 @@ class Agent(Revertible):
         if surveys:
             return plan
         if self.pursuit.look(self.current, self.seek, level, now_ns):
-            self.lights.pursues(self.seek, self.current, level, now_ns)
+            self.lights.released(now_ns)
             return None
         calm = self.swimmer is None or (self.swimmer.calm(now_ns) and self.current.name != self.pursuit.target)
         wanted = self.current.prior is None and not self._settling and calm and self.desk.wishes.sweeps

@@ -170,10 +170,17 @@ def schema_of(path: Path, run: Mapping[str, str]) -> int:
     return int(schema)
 
 
+RETIRED = (("lighting", "follow"),)  # table and setting of fleet files that older recordings hold
+
+
 def attached_toml(path: Path, name: str, attachments: Mapping[str, str], kind: type[T]) -> T:
-    """An attachment as the struct it holds. Raises ConfigError, one line."""
+    """An attachment as the struct it holds, without settings that there are no more. Raises ConfigError, one line."""
     try:
-        return convert(tomllib.loads(attachments[name]), kind, path / name)
+        data = tomllib.loads(attachments[name])
+        for table, setting in RETIRED:
+            if isinstance(held := data.get(table), dict):
+                held.pop(setting, None)
+        return convert(data, kind, path / name)
     except (tomllib.TOMLDecodeError, RecursionError):
         raise ConfigError(f"{path}: damaged: {name} in it is no TOML; take another copy of the file") from None
 

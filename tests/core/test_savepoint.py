@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.capabilities.light.followers import View
 from agent.capabilities.survey.candidates import Ahead
 from agent.capabilities.swim.tag_fix import Map
 from agent.core.attitude import AttitudeLog
@@ -24,12 +23,12 @@ from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, 
 from agent.robot.step import Agent
 from tests.capabilities.light.dark_fish import DarkFish
 from tests.capabilities.light.dark_survey import DarkSurvey
-from tests.capabilities.light.lit_swarm import HARBOUR, LitSwarm
+from tests.capabilities.light.lit_swarm import LitSwarm
 from tests.capabilities.swim.swimming_agent import InTank, fleet
 from tests.core.swarm_on_hand import Swarm
 
 NUMBERS = (bool, int, float, str, bytes, NoneType, Enum, type, msgspec.UnsetType)
-WRITTEN_ONCE = (Fleet, Map, State, Explain, Ahead, View)  # whose dicts are made with them, and never written again
+WRITTEN_ONCE = (Fleet, Map, State, Explain, Ahead)  # whose dicts are made with them, and never written again
 APART = (Net,)  # counts the steps that broke, so that it outlasts them
 LOOKS = 4  # at each robot, a second apart
 
@@ -80,7 +79,7 @@ KINDS = {
     "survey": surveys,
     "lighting": lights,
     "dark survey": lambda: stepped(DarkSurvey(1)),
-    "fish": lambda: stepped(DarkFish(1, 0.2, 20.0, replace(HARBOUR, follow=True))),
+    "fish": lambda: stepped(DarkFish(1, 0.2, 20.0)),
 }
 
 

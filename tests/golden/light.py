@@ -11,7 +11,6 @@ from agent.core.capability_messages import Claim, Keyframe
 from agent.core.messages import Message
 from tests.capabilities.light.dark_fish import DarkFish
 from tests.capabilities.light.dark_survey import DarkSurvey
-from tests.capabilities.light.lit_swarm import HARBOUR
 from tests.golden.swim import record
 from tests.replay.step_box import Said
 
@@ -22,7 +21,7 @@ NOWHERE = 10**6, 10**6, 0  # 0.1 mm
 def fish(out: Path) -> None:
     """Three robots find a fish by their lamps and go with it."""
     seconds = 20.0
-    world = DarkFish(123, FISH_M_S, seconds, replace(HARBOUR, follow=True))
+    world = DarkFish(123, FISH_M_S, seconds)
     world.follows_points = False
     record(world, out, seconds)
 

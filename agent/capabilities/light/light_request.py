@@ -6,7 +6,6 @@ import math
 from typing import Any
 
 from agent.capabilities.light.allocate import Choice, FrameChoice, FrameScene, axis_of, choose, others, scene_of
-from agent.capabilities.light.followers import FAINT, PLAIN
 from agent.capabilities.light.lease import Party, Talk
 from agent.capabilities.light.own_lamp import OwnLamp
 from agent.capabilities.swim.swimmer import Swimmer
@@ -97,11 +96,8 @@ class Wishes(Revertible):
 # names there would show a target to this camera, and the own lamp would not. Whoever knows no more looks there as
 # well, while it is lit.
 #
-# A robot that swims in search of a target has a gaze that goes all around (search_pattern.py), and wants light where
-# that is. When that has gone round often by its own lamp, a look that shows nothing is lit once, farther out, before
-# the next. That is for half of the time at most, for all hold still meanwhile, and what nobody sees from afar is
-# found by who comes near. What swims is looked for by a gaze that never rests (pursuit.py): after a while in
-# vain it stays for a lit look, too, and goes on from there.
+# A robot that swims in search of a target asks for none (search_pattern.py): it comes near what its own lamp shows,
+# and lent light, for which all hold still, found neither balls nor fish sooner (docs/night.md).
 
 # From the camera. A lamp that shines on a place from 1.3 m away and 45 degrees aside lights the camera's axis from
 # 0.7 m before it to 0.7 m behind; nearer than that the own lamp shows what there is.
@@ -110,13 +106,8 @@ LEAST_M = 0.4
 # Of a target's light in all light: by more of it the ball is found in the twin's pictures, sharp or not, by less its
 # own lamp does not show it (harbour water, worlds 2 and 10, 0.7 to 1.5 m).
 SHOWS = 0.2
-SHOWS_SIDE = 0.5 * (FAINT + PLAIN)  # likewise, of a creature
+SHOWS_SIDE = 0.35  # likewise, of what is no ball: less shows it in no frame, more its side in nearly all
 OWN_LOOK_NS = 1_200_000_000  # by the own lamp, before light is asked for: four frames
-# Of a gaze, by the own lamp, before light is asked for: in a minute and a half who swims has come near what there is.
-# With light from the first round on the ball was measured within two minutes in 6 of 11 worlds, by own lamps in 9.
-OWN_ROUNDS = 6
-OWN_SCAN_NS = 20_000_000_000  # likewise, of a gaze without rests, which has gone round all rows by then
-SWIMS_NS = 3_000_000_000  # between lit looks of robots that swim, which all hold still for: as long as one takes
 SHOWN_NS = 900_000_000  # of light and gimbal at rest, without a target: three frames
 
 
@@ -133,6 +124,8 @@ class LightSearch(Revertible):
 
     def look(self, seek: Seek, now_ns: int) -> bool:
         """Whether the own lamp has shown by now what it can. Others' light in between counts as well."""
+        if seek.roam is not None:
+            return False
         if self._looks_ns is None and seek.lit_from_ns is not None and seek.pointing.goal_us is not None:
             self._looks_ns = max(seek.lit_from_ns, seek.pointing.steady_from_ns)
         return not self._robot.lamp or (self._looks_ns is not None and now_ns - self._looks_ns > OWN_LOOK_NS)
@@ -195,41 +188,3 @@ class LightSearch(Revertible):
         """Pan and tilt of the place whose turn it is."""
         pan, tilt = SEARCH_DEG[self._step % len(SEARCH_DEG)]
         return self._robot.look.pan_deg + pan, self._robot.look.tilt_deg + tilt
-
-
-class SwimSearch(LightSearch):
-    """Of one that may swim about meanwhile: its search then has a gaze of its own."""
-
-    def __init__(self, fleet: Fleet, name: str) -> None:
-        super().__init__(fleet, name)
-        self._lit_look = -1  # the newest for which light was asked, or would be of no use
-        self._leased_ns = 0  # when anybody had the light last
-        self._away = False  # its camera was turned to what is lit for another
-
-    def look(self, seek: Seek, now_ns: int) -> bool:
-        if self._glimpsed_m is not None:  # by another's light, just now
-            return True
-        if now_ns - self._leased_ns <= SWIMS_NS:
-            return False
-        if (roam := seek.roam) is None:
-            return super().look(seek, now_ns)
-        if seek.pointing.tracks:
-            return now_ns - roam.since_ns > OWN_SCAN_NS
-        return roam.rounds >= OWN_ROUNDS and roam.empty and roam.looks != self._lit_look
-
-    def place(self, seek: Seek, level: Attitude) -> Vector | None:
-        if (roam := seek.roam) is None:
-            return super().place(seek, level)
-        self._lit_look, roam.lit = roam.looks, True
-        return self._glimpsed_m or self._along(seek.eye(level), RANGES_M[0])
-
-    def follows(self, party: Party, seek: Seek, target: str, level: Attitude | None, now_ns: int) -> Vector | None:
-        lit_m = super().follows(party, seek, target, level, now_ns)
-        if party.phase != "free":
-            self._leased_ns = now_ns
-        if (roam := seek.roam) is not None:
-            roam.lit = lit_m is not None or (self.at_m is not None and party.mine is not None)
-            if self._away and party.bound is None and not roam.found:
-                roam.repeat()
-            self._away = party.bound is not None and lit_m is not None
-        return lit_m

@@ -8,15 +8,12 @@ lamp goes with its own camera.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from agent.capabilities.light.allocate import others
-from agent.capabilities.light.followers import FollowLight
 from agent.capabilities.light.lease import Spoiled, Talk
-from agent.capabilities.light.light_request import LightSearch, SwimSearch, Wishes
+from agent.capabilities.light.light_request import LightSearch, Wishes
 from agent.capabilities.light.own_lamp import OwnLamp, Turn, lamp_state
 from agent.capabilities.light.target_light import (
     SCATTERS,
@@ -103,15 +100,13 @@ class Lights(Revertible):
         """Whether a sweep may begin now, by light that is at rest; if not, light is asked for where one is wanted."""
         return wanted
 
-    def pursues(self, seek: Seek, target: TargetState, level: Attitude | None, now_ns: int) -> None:
-        """The camera goes with a target that swims, or round without rest in search of it."""
+    def released(self, now_ns: int) -> None:
+        """The camera goes with a target that swims, by frames: light that is held for a sweep is given back."""
 
     def began(self, now_ns: int) -> None:
         """A sweep of the target begins with this step."""
 
-    def burn(
-        self, seek: Seek, target: TargetState, targets: Mapping[str, TargetState], attitude: AttitudeLog, now_ns: int
-    ) -> None:
+    def burn(self, seek: Seek, target: TargetState, attitude: AttitudeLog, now_ns: int) -> None:
         """The own lamp as it shall burn from now on, and whether the camera sees by it. target: the camera's."""
 
     def say(self, now_ns: int) -> tuple[Light, ...] | UnsetType:
@@ -162,12 +157,8 @@ class LentLights(Lights):
         self._talk, self.own = Talk(fleet, name, incarnation), OwnLamp(fleet, name, lighting, swimmer)
         self._turn = Turn(self._talk, self.own)
         wishes = Wishes(fleet, name, calibration, swimmer, lighting, self.own, self._talk)
-        search = LightSearch(fleet, name) if swimmer is None else SwimSearch(fleet, name)
-        self._sweeps = TargetLight(fleet, self._turn, wishes, search, swimmer, log)
+        self._sweeps = TargetLight(self._turn, wishes, LightSearch(fleet, name), swimmer, log)
         self.views = LentViewLight(self._turn, wishes, log)
-        self._follow: FollowLight | None = None
-        if swimmer is not None and lighting.follow:
-            self._follow = FollowLight(fleet, name, calibration, swimmer, lighting, self.own.aim)
         self._pending: Measurement | None = None  # a sweep whose light is not known to have stayed
         self._lamps_m: tuple[Vector, ...] = ()  # where those are that it was made by
         self._lens: int | None = None  # where it rests between sweeps, as told
@@ -237,8 +228,9 @@ class LentLights(Lights):
     def may_sweep(self, seek: Seek, target: TargetState, level: Attitude | None, wanted: bool, now_ns: int) -> bool:
         return wanted and self._sweeps.lets(seek, target, level, now_ns)
 
-    def pursues(self, seek: Seek, target: TargetState, level: Attitude | None, now_ns: int) -> None:
-        self._sweeps.pursues(seek, target, level, now_ns)
+    def released(self, now_ns: int) -> None:
+        if self._turn.phase == "holds":
+            self._sweeps.end(now_ns)
 
     def began(self, now_ns: int) -> None:
         turn = self._turn
@@ -248,16 +240,13 @@ class LentLights(Lights):
         if self._name in turn.burned:  # from beside the camera: nothing of the disc is dark
             self._lamps_m = ()
 
-    def burn(
-        self, seek: Seek, target: TargetState, targets: Mapping[str, TargetState], attitude: AttitudeLog, now_ns: int
-    ) -> None:
+    def burn(self, seek: Seek, target: TargetState, attitude: AttitudeLog, now_ns: int) -> None:
         level = None if attitude.newest is None else attitude.at(attitude.newest.t_ns)
-        keeps, party, now = seek.measuring or self.judging, self._talk.party, self.own.now
-        follows = None if self._follow is None else self._follow.tick(targets, party, now, seek, level, now_ns)
-        self.own.burn(party, seek, target.believed_m, follows, keeps, attitude, now_ns)
+        keeps, party = seek.measuring or self.judging, self._talk.party
+        self.own.burn(party, seek, target.believed_m, keeps, attitude, now_ns)
         if self._swimmer is not None:  # light that is lent, or looked by, does not move
             self._swimmer.keep_still(party.phase in ("holds", "obeys"))
-        seek.lit_from_ns = self._lit_from(seek.lit_from_ns, follows is not None, now_ns)
+        seek.lit_from_ns = self._lit_from(seek.lit_from_ns, now_ns)
         seek.lit_m = self._sweeps.lit_m(seek, target, level, now_ns)
         self._wanted_lens = self._sweeps.sharp_at(seek, target, target.believed_m or seek.lit_m, level)
 
@@ -273,14 +262,14 @@ class LentLights(Lights):
 
     # --- what it comes from -----------------------------------------------------------------------------------
 
-    def _lit_from(self, before: int | None, follows: bool, now_ns: int) -> int | None:
-        """Since when the camera sees by light that is meant for it. follows: by whosever what swims is followed."""
+    def _lit_from(self, before: int | None, now_ns: int) -> int | None:
+        """Since when the camera sees by light that is meant for it."""
         phase = self._turn.phase
         if phase == "holds":
             if not self._turn.rests(now_ns):
                 return None
             return before if before is not None and before >= self._turn.granted_ns else now_ns
-        shines = phase != "obeys" and (follows or (self.own.now.power > 0.0 and self._sweeps.own_shows))
+        shines = phase != "obeys" and self.own.now.power > 0.0 and self._sweeps.own_shows
         return self.own.lamp.steady_ns if shines else None
 
     def _rest(self) -> int | UnsetType:

@@ -17,7 +17,6 @@ from agent.capabilities.light.allocate import (
     looked_at,
     warmed,
 )
-from agent.capabilities.light.followers import Wish
 from agent.capabilities.light.lease import Bound, Party, Phase, Spoiled, Talk, lit_by
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.attitude import Attitude, AttitudeLog
@@ -80,13 +79,11 @@ class OwnLamp(Revertible):
         party: Party,
         seek: Seek,
         believed_m: Vector | None,
-        follows: Wish | None,
         keeps: bool,
         attitude: AttitudeLog,
         now_ns: int,
     ) -> None:
-        """As it shall from now on. follows: how, while nobody has a lease and something that swims is followed; keeps:
-        a sweep of its robot's is under way, and light must not change.
+        """As it shall from now on. keeps: a sweep of its robot's is under way, and light must not change.
 
         It goes dark at once, whatever is under way, where the control module is silent, disarmed or surfacing, the
         battery is empty or the lamp too warm.
@@ -99,7 +96,7 @@ class OwnLamp(Revertible):
         elif self.ordered is not None:
             power, us = self._as_ordered(party, self.ordered)
         elif not keeps:
-            power, us = self._wanted(party, seek, believed_m, follows, level, now_ns)
+            power, us = self._wanted(party, seek, believed_m, level, now_ns)
         self.lamp = command(self.lamp, power, us, now_ns)
         self._show(party, attitude, now_ns)
 
@@ -108,7 +105,6 @@ class OwnLamp(Revertible):
         party: Party,
         seek: Seek,
         believed_m: Vector | None,
-        follows: Wish | None,
         level: Attitude,
         now_ns: int,
     ) -> tuple[float, tuple[int, int]]:
@@ -124,11 +120,9 @@ class OwnLamp(Revertible):
                 self._us = self.aim.at(at_m, seek.pose, level)[0]
             return (1.0 if self._name in lit_by(party) else 0.0), self._us
         self._us = None
-        at_m = looked_at(seek, level, believed_m) if follows is None else follows.at_m
-        us, _ = self.aim.at(at_m, seek.pose, level)
+        us, _ = self.aim.at(looked_at(seek, level, believed_m), seek.pose, level)
         near = max(abs(to - at) for to, at in zip(us, self.lamp.us, strict=True)) <= NEAR_US
-        power = 1.0 if follows is None or follows.burns else 0.0
-        return power, self.lamp.us if near and self.lamp.power else us
+        return 1.0, self.lamp.us if near and self.lamp.power else us
 
     def _as_ordered(self, party: Party, lit: OrderedLight) -> tuple[float, tuple[int, int]]:
         """It does not change for anybody's lease; whoever has one is told, and own sweeps are made as it burns."""

@@ -14,10 +14,9 @@ from agent.capabilities.light.light_request import SHOWS, LightSearch, Wishes
 from agent.capabilities.light.own_lamp import LOOK_NS, MARGIN_NS, Turn
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.attitude import Attitude
-from agent.core.config import Cues, Fleet, Target
+from agent.core.config import Cues, Target
 from agent.core.control.sweep import ByLight
 from agent.core.control.target_search import Seek
-from agent.core.estimation.protocols import pursued
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Calibration, Eye, at_lens_position, ray, to_camera
 from agent.core.ranging.fix import Outline, focus_range
@@ -29,11 +28,8 @@ from agent.core.target_state import TargetState
 class TargetLight(Revertible):
     """Of one robot, between steps."""
 
-    def __init__(
-        self, fleet: Fleet, turn: Turn, wishes: Wishes, search: LightSearch, swimmer: Swimmer | None, log: Logbook
-    ) -> None:
+    def __init__(self, turn: Turn, wishes: Wishes, search: LightSearch, swimmer: Swimmer | None, log: Logbook) -> None:
         self._turn, self._wishes, self._search, self._swimmer, self._log = turn, wishes, search, swimmer, log
-        self._swims = pursued(fleet)  # by frames: nobody sweeps these
         self.own_shows = True  # the own lamp, the target, as far as it is known where that is
 
     def lets(self, seek: Seek, target: TargetState, level: Attitude | None, now_ns: int) -> bool:
@@ -50,16 +46,6 @@ class TargetLight(Revertible):
             self._ask(seek, target, level, now_ns)
         return False
 
-    def pursues(self, seek: Seek, target: TargetState, level: Attitude | None, now_ns: int) -> None:
-        """The camera goes with a target that swims, or round in search of it: for that it has places lit as well. By
-        frames it is known to all at once where it is, and the light is of no more use."""
-        hunts = self._hunts(seek, target)
-        if self._turn.phase == "holds":
-            if not hunts or self._search.shown(seek, self._turn.granted_ns, now_ns):
-                self.end(now_ns)
-        elif hunts and level is not None and self._turn.idle(now_ns):
-            self._ask(seek, target, level, now_ns)
-
     def end(self, now_ns: int, fruitless: bool = False) -> None:
         """The own lease is at its end. fruitless: it showed nothing, and others have more time before the next one."""
         if self._search.at_m is not None and not self._turn.swept:
@@ -71,17 +57,13 @@ class TargetLight(Revertible):
 
     def lit_m(self, seek: Seek, target: TargetState, level: Attitude | None, now_ns: int) -> Vector | None:
         """The place that is lit for whoever knows no more of the target, world frame."""
-        if target.believed_m is not None and not self._hunts(seek, target):
+        if target.believed_m is not None or seek.roam is not None:
             return None
         return self._search.follows(self._turn.talk.party, seek, target.name, level, now_ns)
 
     def sharp_at(self, seek: Seek, target: TargetState, at_m: Vector | None, level: Attitude | None) -> float | None:
         """Lens position at which the target would be sharp there; None: nobody knows."""
         return self._wishes.sharp_at(seek, target.ball, at_m, level)
-
-    def _hunts(self, seek: Seek, target: TargetState) -> bool:
-        """It looks for that one, which swims: where that was once says nothing."""
-        return target.name in self._swims and seek.roam is not None and seek.roam.target == target.name
 
     def _in_vain(self, seek: Seek, target: TargetState, now_ns: int) -> bool:
         """The place that it has had lit shows nothing."""
@@ -91,7 +73,7 @@ class TargetLight(Revertible):
 
     def _ask(self, seek: Seek, target: TargetState, level: Attitude, now_ns: int) -> None:
         """For the light of a sweep, or of a look at the next place of a search."""
-        search, believed_m = self._search, None if self._hunts(seek, target) else target.believed_m
+        search, believed_m = self._search, target.believed_m
         at_m = believed_m or seek.glimpsed_m(target.name, level, None, now_ns)
         searches = at_m is None and not seek.sees(target.name, now_ns)
         if not self._wishes.may_ask(now_ns):

@@ -254,10 +254,8 @@ class Pursuit(Revertible):
             return False
         if believed is None or seek.roam is not None:
             camera, body, surface_m = self._calibration.camera, self._fleet.body, self._fleet.tank.surface_m
-            rests = self._gaze.sees(now_ns) or seek.lit_m is not None
+            rests = self._gaze.sees(now_ns)
             way_deg = self._scan.way_deg(camera, body, level.depth_m, surface_m, rests, now_ns)
-            if seek.lit_m is not None:  # lit for a robot that looks there
-                way_deg = look_at(seek.lit_m, pose_of(here), body, *level, surface_m)
             seek.track(of.name, *way_deg, now_ns)
             self._lens = None
             return True

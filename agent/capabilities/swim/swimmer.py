@@ -163,9 +163,9 @@ class Errand(Revertible):
         surface_m = self._fleet.tank.surface_m
         around = all_around(self._camera, self._fleet.body, depth_m, surface_m)
         if target is None or what.target in self._swims:  # its gaze goes all around at once (pursuit.Scan)
-            return Roam(what.target, (), around, now_ns)
+            return Roam(what.target, (), around)
         speed_m_s = dynamics(self._fleet.target[what.target]).first_speed_m_s
-        return Roam(what.target, spiral(self._camera, _reach_deg(target, speed_m_s, pose, now_ns)), around, now_ns)
+        return Roam(what.target, spiral(self._camera, _reach_deg(target, speed_m_s, pose, now_ns)), around)
 
     def hidden(self, from_m: Planar, at_m: Planar, now_ns: int) -> None:
         """Nothing of the target at at_m is to be seen from there: something unknown is half way, or about."""

@@ -25,16 +25,14 @@ WIDEST_DEG = 90.0  # of the spiral
 class Roam(Revertible):
     """The looks of one search, one after the other. `Seek` (target_search.py) moves it on."""
 
-    def __init__(self, target: str, spiral: Ways, around: Ways, since_ns: int = 0) -> None:
+    def __init__(self, target: str, spiral: Ways, around: Ways) -> None:
         """spiral: offsets from where the target was last; around: by the gimbal's own angles."""
-        self.target, self.since_ns = target, since_ns
+        self.target = target
         self._spiral, self._around = spiral, around
         self._step, self._empty = -1, FRAMES
         self.found = False  # in the newest frame of the newest look
         self._glimpse = False  # in any frame of it
         self._glimpsed = -1  # the last look for which it went back
-        self.lit = False  # light is asked for or lent for the newest look, which is not over before
-        self.looks = 0  # so far
 
     @property
     def spirals(self) -> bool:
@@ -42,19 +40,9 @@ class Roam(Revertible):
         return max(self._step, 0) < len(self._spiral)
 
     @property
-    def over(self) -> bool:
-        """Whether the newest look has shown that there is nothing."""
-        return self.empty and not self.lit
-
-    @property
     def empty(self) -> bool:
         """Whether the newest frames of the newest look have shown that there is nothing."""
         return self._empty >= FRAMES
-
-    @property
-    def rounds(self) -> int:
-        """How often it has looked everywhere."""
-        return max(self._step - len(self._spiral), 0) // len(self._around)
 
     def add_frame(self, found: bool) -> None:
         """Take note of a frame of the newest look."""
@@ -67,11 +55,6 @@ class Roam(Revertible):
         back = BACK if self._glimpse and self._step > self._glimpsed else 0
         self._glimpsed = max(self._glimpsed, self._step) if self._glimpse else self._glimpsed
         self._step, self._empty, self.found, self._glimpse = max(self._step - back, -1) + 1, 0, False, False
-        self.looks += 1
-
-    def repeat(self) -> None:
-        """Make the newest look due again: the camera was elsewhere."""
-        self._step, self._empty, self.found, self._glimpse = self._step - 1, FRAMES, False, False
 
     @property
     def offset_deg(self) -> tuple[float, float] | None:

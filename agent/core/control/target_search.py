@@ -134,7 +134,7 @@ class Seek(Revertible):
             self._aim(self._look_us, now_ns)
         if memory.sweep.running:
             return None
-        if self.roam is not None and self.roam.target == target and self.roam.over and not memory.in_view(now_ns):
+        if self.roam is not None and self.roam.target == target and self.roam.empty and not memory.in_view(now_ns):
             self.roam.advance()
             another = True
         if self._goes_to_light(memory, attitude, told_m, now_ns) or not (another or self.pointing.steady(now_ns)):
