@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 import typer
 
 from agent.core.config import ConfigError
+from agent.core.verbs import VERBS
 from agent.process.command import FleetFile, Port, RobotName, complain, new_file, run_folder
 from agent.process.launch import until_signal
 from agent.robot.fleet_reader import load_fleet, load_robot
-from agent.robot.verbs import VERBS
 
 if TYPE_CHECKING:
     from agent.ground.check import Checked

@@ -70,6 +70,10 @@ class TargetState(Revertible):
         self.prior = self.measured = prior
         self.measurements += 1
 
+    def observe(self, bearing: Bearing | None) -> None:
+        """A bearing for the next iteration."""
+        self.bearing = bearing
+
     @property
     def believed_m(self) -> Vector | None:
         """Where it is believed to be, world frame."""
@@ -90,6 +94,11 @@ class TargetState(Revertible):
         old = bool(believed.t_ns) and now_ns - believed.t_ns > OLD_NS  # of a track that ends there
         cov_m2 = grown(believed, self._moves, now_ns) if old else believed.cov_m2
         return TargetEstimate(believed.x_m, believed.v_m_s, cov_m2, self._seen_ns)
+
+    def show(self, state: State) -> State:
+        """Remember the newest state that was shown."""
+        self.last_state = state
+        return state
 
     def iterate(self, now_ns: int) -> bool:
         """One iteration of the protocol. Returns whether `knows` is news: it has had its value for HELD iterations, and

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.capabilities.swim.pursuit import carried_on
+from agent.capabilities.swim.swim import swimmer_of
 from agent.core.config import Body, Fleet, Follow, Limits, Look, Navigation, Pose, Target
 from agent.core.estimation.protocols import dynamics
 from agent.core.messages import Estimate, Message, Vector
@@ -266,7 +267,8 @@ def row(swimmers: Swimmers, fleet: Fleet, target_m: Vector, pillars: tuple[Pilla
         reach = reaches(fleet.body, place, target_m)
         flags = newest is not None and newest.found, near and clear and not eyes.covered, reach, eyes.covered
         believed = judged(agent, fleet, target_m, swimmers.now_ns)
-        found.append(np.array([*place, *flags, agent.swimmer is not None and agent.swimmer.glances, *believed], float))
+        swimmer = swimmer_of(agent.capabilities)
+        found.append(np.array([*place, *flags, swimmer is not None and swimmer.glances, *believed], float))
     return found
 
 
@@ -306,4 +308,5 @@ class Channel:
 
 
 def _does(agent: Agent) -> str:
-    return "" if agent.swimmer is None else agent.swimmer.does
+    swimmer = swimmer_of(agent.capabilities)
+    return "" if swimmer is None else swimmer.does

@@ -26,12 +26,12 @@ from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Answer, Arg, Order, State
 from agent.core.step_io import Telemetry
 from agent.core.topics import STATE
+from agent.core.verbs import CLOCK, URGENT, arguments, prepare_all
 from agent.process.certificates import credentials
 from agent.process.command import Failed
 from agent.process.transport import fleet_clock
 from agent.robot.fleet_reader import load_fleet, load_robot
 from agent.robot.operator import why_closed
-from agent.robot.verbs import CLOCK, URGENT, arguments, prepare_all
 from hw.firmware.failsafe import LATCHED
 from hw.firmware.parameters import NAMES, TABLE
 from hw.stm32.driver import Stm32, open_port_path

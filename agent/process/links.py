@@ -25,8 +25,8 @@ from agent.core.config import Fleet
 from agent.core.messages import MAX_ORDER, Answer, Order
 from agent.core.step_io import DroppedPayloads, Heard, Ordered
 from agent.core.topics import CLAIM, KEYFRAME, LIGHT, LINK, NEAR, Topic
+from agent.core.verbs import CLOCK
 from agent.robot.operator import CONSOLE, why_closed
-from agent.robot.verbs import CLOCK
 from router_config.session import Link, Query, Sample, Withdraw, unusable
 
 KEPT = LINK.qos.buffer

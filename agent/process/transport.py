@@ -24,10 +24,10 @@ from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Answer, Estimate, Image, LogLine, Message, Presence, State
 from agent.core.step_io import DroppedPayloads, Heard, Ordered
 from agent.core.topics import ANSWER, IMAGE, LINK, LOG, STATE, TOPICS, Topic
+from agent.core.verbs import prepare_all
 from agent.process.certificates import certificate_file, hosts_of, read_certificate
 from agent.process.links import Inboxes, OrderBox, Strangers, Tokens, rows_of
 from agent.robot.fleet_reader import two_worlds
-from agent.robot.verbs import prepare_all
 from hw.twin.twin_folder import clock_path
 from router_config.session import Publish, Sample, Session, unusable
 from router_config.settings import (

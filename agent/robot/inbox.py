@@ -6,18 +6,15 @@ from collections.abc import Mapping
 
 from msgspec import UNSET
 
-from agent.capabilities.light.lights import Lights
-from agent.capabilities.survey.survey import Conduct
-from agent.capabilities.swim.deconfliction import Neighbours
 from agent.core.codec import Refusal, decode
 from agent.core.config import Tank
 from agent.core.estimation.evidence_table import inside, is_covariance
-from agent.core.messages import Estimate, Presence
+from agent.core.messages import Estimate
 from agent.core.status import Status
 from agent.core.step_io import DroppedPayloads, Heard
 from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetState
-from agent.core.topics import LIGHT, NEAR
+from agent.robot.arbiter import Equipment
 
 FOR_PEOPLE = ("clock", "fleet file", "schema")  # refusals that people have to put right
 FAULT_NS = 10_000_000_000  # how long such a thing is told after it was last seen
@@ -32,14 +29,11 @@ class Inbox(Revertible):
         tank: Tank,
         common: str,
         schema: int,
-        neighbours: Neighbours | None = None,
-        survey: Conduct | None = None,
-        lights: Lights | None = None,
+        equipment: Equipment,
     ) -> None:
-        """common: digest of what all fleet files share. schema: of the messages that are taken in. neighbours: where
-        they are, of a robot that swims. survey: what is told of what was seen. lights: what is told of lamps."""
-        self._targets, self._tank, self._common, self._neighbours = targets, tank, common, neighbours
-        self._survey, self._lights = survey, lights
+        """common: digest of what all fleet files share. schema: of the messages that are taken in. equipment: takes
+        what is about no target."""
+        self._targets, self._tank, self._common, self._equipment = targets, tank, common, equipment
         self._accepted = frozenset({schema})
         self.refused: dict[str, int] = {}
         self._faults: dict[tuple[str, str], tuple[str, int]] = {}  # neighbour and kind: what is wrong, and when last
@@ -68,17 +62,7 @@ class Inbox(Revertible):
 
     def _take(self, item: Heard, status: Status, now_ns: int) -> None:
         """One payload. Raises Refusal where it is not believed."""
-        if item.topic == NEAR.name:
-            if self._neighbours is None:
-                raise Refusal("fleet file", "it swims, and our file has no [navigation]; give all robots the same file")
-            presence = decode(item.payload, Presence, NEAR.limit, self._accepted)
-            self._neighbours.hear(item.src, presence, item.arrived_ns)
-            return
-        if item.topic == LIGHT.name and self._lights is not None:
-            self._lights.hear(item, self._accepted)
-            return
-        if item.topic is not UNSET and self._survey is not None:
-            self._survey.hear(item, self._accepted)
+        if item.topic is not UNSET and self._equipment.receive(item, self._accepted):
             return
         estimate = decode(item.payload, Estimate, accepted=self._accepted)
         if estimate.common and self._common and estimate.common != self._common:

@@ -8,23 +8,20 @@ its age, and no arm that was on its way undoes it.
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable, Mapping
 from typing import NamedTuple
 
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
-from agent.capabilities.light.allocate import OrderedLight
-from agent.capabilities.light.lights import Lights
-from agent.capabilities.swim.swimmer import Swimmer
+from agent.core.capability import CameraAct, Capability, Overrides, Proposal, Situation
 from agent.core.codec import Refusal, decode
-from agent.core.config import Behaviour, Fleet, Goto, Hold, Survey
-from agent.core.control.target_search import Seek
+from agent.core.config import Fleet, Follow, Goto, Hold, Orbit, Search, Survey, Trial, Turn
 from agent.core.messages import MAX_ORDER, MAX_WORDS, Answer, Order
 from agent.core.status import Logbook
 from agent.core.step_io import Motors, Ordered, Outputs, TargetBox
 from agent.core.step_transaction import SURFACE_M, Revertible
-from agent.robot.fleet_reader import wrong_way
-from agent.robot.verbs import (
+from agent.core.verbs import (
     CLOCK,
     URGENT,
     Args,
@@ -41,20 +38,12 @@ from agent.robot.verbs import (
     Surface,
     arguments,
     in_words,
+    within,
 )
+from agent.robot.arbiter import CAPABILITIES
+from agent.robot.fleet_reader import wrong_way
 
-# --- overrides ---
-
-
-class Wishes(NamedTuple):
-    """What people want of a robot beside what its fleet file says, in force until another order, or `resume`. None: as
-    the fleet file says."""
-
-    depth_m: float | None = None
-    gaze_deg: tuple[float, float] | None = None  # pan, tilt of the camera
-    behaviour: Behaviour | None = None
-    sweeps: bool = True
-    send_hz: float | None = None
+# --- what is ordered of the devices ---
 
 
 class AtOnce(NamedTuple):
@@ -77,17 +66,15 @@ def prevailing(before: Motors | UnsetType, ordered: Motors) -> Motors:
 
 MOST_SEND_HZ, LEAST_SEND_HZ, MOST_PREVIEW_HZ = 20.0, 0.2, 5.0
 MIN_SIDE_PX = 8.0  # of a box that can be followed
-MOORED = "it is moored: its fleet file has no [navigation]"
 
 
-class Doing(Revertible):
-    """Orders that are in force, and what carrying one out means; which console may give it, and when, is judged before
-    (Desk)."""
+class Commands(Revertible):
+    """Commands that are in force, and what carrying one out means; which console may give it, and when, is judged
+    before (Operator)."""
 
-    def __init__(self, fleet: Fleet, name: str, swimmer: Swimmer | None, lights: Lights) -> None:
-        self._fleet, self._robot, self._swimmer = fleet, fleet.robot[name], swimmer
-        self._lights = lights
-        self.wishes, self.at_once = Wishes(), AtOnce()
+    def __init__(self, fleet: Fleet, name: str, capabilities: Mapping[str, Capability]) -> None:
+        self._fleet, self._robot, self._capabilities = fleet, fleet.robot[name], capabilities
+        self.overrides, self.at_once = Overrides(), AtOnce()
 
     def carry_out(self, what: Args) -> None:
         """Raises Refusal for what this robot cannot do, and then does nothing."""
@@ -104,39 +91,47 @@ class Doing(Revertible):
                 body = self._fleet.body
                 within("pan_deg", what.pan_deg, *body.pan_limit_deg)
                 within("tilt_deg", what.tilt_deg, *body.tilt_limit_deg)
-                self.wishes = self.wishes._replace(gaze_deg=(what.pan_deg, what.tilt_deg))
-            case Burn():
-                self._burn(what)
+                self.overrides = self.overrides._replace(look_deg=(what.pan_deg, what.tilt_deg))
             case DrawBox():
                 self._draw(what)
             case Set():
                 self._set(what)
             case Resume():
-                self._resume()
+                self.overrides = Overrides()
+                self.at_once = self.at_once._replace(preview_hz=self._fleet.link.preview_hz)
+                self._by_owners(what)
+            case Burn():
+                self._by_owner(what)
             case _:
-                self._swim(what)
+                self._behave(what)
 
     def halt(self, verb: str) -> None:
         """Stop, disarm or surface; nothing can be wrong with it."""
         self._motors("surface" if verb == "surface" else "off")
 
+    def take_at_once(self) -> AtOnce:
+        """What is ordered of the devices in this step, once."""
+        at_once, self.at_once = self.at_once, AtOnce()
+        return at_once
+
     def _motors(self, ordered: Motors) -> None:
         self.at_once = self.at_once._replace(motors=prevailing(self.at_once.motors, ordered))
 
+    def _by_owners(self, what: Args) -> bool:
+        """Whether it concerned any capability."""
+        return any([one.carry_out(what) for one in self._capabilities.values()])
+
+    def _by_owner(self, what: Args) -> None:
+        """By the capability that it is for. Raises Refusal where this robot lacks it."""
+        if not self._by_owners(what):
+            raise Refusal("content", lacking(what))
+
     def _hold(self, what: HoldHere) -> None:
         if what.depth_m is not None:
-            self._dive(what.depth_m)
-        if self._swimmer is not None:
-            self._swimmer.task.begin(Hold())
-            self.wishes = self.wishes._replace(behaviour=Hold())
-
-    def _burn(self, what: Burn) -> None:
-        if self._lights.own is None or not self._robot.lamp:
-            raise Refusal("content", "it has no lamp: `lamp = true` is not in its table of the fleet file")
-        body = self._fleet.body
-        within("pan_deg", what.pan_deg, *body.pan_limit_deg)
-        within("tilt_deg", what.tilt_deg, *body.tilt_limit_deg)
-        self._lights.own.ordered = OrderedLight(what.light, what.pan_deg, what.tilt_deg)
+            within("depth_m", what.depth_m, SURFACE_M, self._fleet.tank.surface_m)
+            self.overrides = self.overrides._replace(depth_m=what.depth_m)
+        if self._by_owners(what):
+            self.overrides = self.overrides._replace(behaviour=Hold())
 
     def _draw(self, what: DrawBox) -> None:
         boxed = [name for name, target in self._fleet.target.items() if target.detector == "box"]
@@ -158,58 +153,32 @@ class Doing(Revertible):
             case "sweeps":
                 if what.value not in (0.0, 1.0):
                     raise Refusal("content", "value: 1 is on, 0 is off")
-                self.wishes = self.wishes._replace(sweeps=bool(what.value))
+                self.overrides = self.overrides._replace(sweeps=bool(what.value))
             case "send_hz":  # heard less often, neighbours would leave it out
                 within("value", what.value, max(LEAST_SEND_HZ, 1.0 / self._fleet.estimation.validity_s), MOST_SEND_HZ)
-                self.wishes = self.wishes._replace(send_hz=what.value)
+                self.overrides = self.overrides._replace(send_hz=what.value)
             case "preview_hz":
                 within("value", what.value, 0.0, MOST_PREVIEW_HZ)
                 self.at_once = self.at_once._replace(preview_hz=what.value)
-            case "speed_m_s":
-                if self._swimmer is None or self._fleet.navigation is None:
-                    raise Refusal("content", MOORED)
-                within("value", what.value, 0.01, self._fleet.navigation.limits.speed_m_s)
-                self._swimmer.limit_speed(what.value)
+            case _:
+                self._by_owner(what)
 
-    def _resume(self) -> None:
-        self.wishes = Wishes()
-        self.at_once = self.at_once._replace(preview_hz=self._fleet.link.preview_hz)
-        if self._lights.own is not None:
-            self._lights.own.ordered = None
-        if self._swimmer is not None and self._fleet.navigation is not None:
-            self._swimmer.task.resume()
-            self._swimmer.dive(self._robot.depth_m)
-            self._swimmer.limit_speed(self._fleet.navigation.limits.speed_m_s)
-
-    def _swim(self, what: Behaviour) -> None:
+    def _behave(self, what: Goto | Turn | Orbit | Trial | Follow | Search | Survey) -> None:
         """A behaviour, as a fleet file has it."""
         if isinstance(what, Survey) and not isinstance(self._robot.behaviour, Survey):
             raise Refusal(
                 "content", "its behaviour in the fleet file is no survey, so that it has not chosen any views"
             )
-        if self._swimmer is None:
-            raise Refusal("content", MOORED)
-        if (wrong := wrong_way(self._fleet, what)) is not None:
+        swims = any(isinstance(what, one.commands) for one in self._capabilities.values())
+        if swims and (wrong := wrong_way(self._fleet, what)) is not None:
             raise Refusal("content", wrong)
-        if isinstance(what, Goto) and what.depth_m is not None:
-            self._within_water(what.depth_m)
-        self.wishes = self.wishes._replace(behaviour=what)
-        self._swimmer.task.begin(what)
-
-    def _dive(self, depth_m: float) -> None:
-        self._within_water(depth_m)
-        if self._swimmer is not None:
-            self._swimmer.dive(depth_m)
-        self.wishes = self.wishes._replace(depth_m=depth_m)
-
-    def _within_water(self, depth_m: float) -> None:
-        within("depth_m", depth_m, SURFACE_M, self._fleet.tank.surface_m)
+        self._by_owner(what)
+        self.overrides = self.overrides._replace(behaviour=what)
 
 
-def within(name: str, value: float, lowest: float, highest: float) -> None:
-    """Raises Refusal for a value that is not."""
-    if not lowest <= value <= highest:
-        raise Refusal("content", f"{name}: {value:g} is not within {lowest:g} to {highest:g}")
+def lacking(what: Args) -> str:
+    """Why a robot that lacks a capability cannot carry out its commands."""
+    return next((kind.lacks for kind in CAPABILITIES if isinstance(what, kind.commands)), "this robot cannot do that")
 
 
 # --- memory of answers ---
@@ -289,33 +258,27 @@ STALE_NS = 3_000_000_000
 BROKE = "the step that it came with broke, and it was left out; order again"
 
 
-class Desk(Revertible):
+class Operator(Revertible):
     """Judges the orders to one robot, has them carried out and answers them."""
 
     def __init__(
-        self, fleet: Fleet, name: str, incarnation: int, swimmer: Swimmer | None, lights: Lights, log: Logbook
+        self, fleet: Fleet, name: str, incarnation: int, capabilities: Mapping[str, Capability], log: Logbook
     ) -> None:
         self._fleet, self._name, self._incarnation, self._log = fleet, name, incarnation, log
-        self._doing, self._memory = Doing(fleet, name, swimmer, lights), Memory()
+        self._commands, self._memory = Commands(fleet, name, capabilities), Memory()
         self._halted_ns = -1  # when a stop or a surfacing was ordered last
         self._holds: dict[str, str] = {}  # what each of a robot's parts is ordered to do, and by which console
         self._now: dict[tuple[str, bytes], Answer] = {}  # of this step
 
     @property
-    def wishes(self) -> Wishes:
-        return self._doing.wishes
+    def overrides(self) -> Overrides:
+        return self._commands.overrides
 
-    @property
-    def surveys(self) -> bool:
-        """A survey may have camera and lens."""
-        return self.wishes.sweeps and isinstance(self.wishes.behaviour, Survey | None)
-
-    def looks(self, seek: Seek, now_ns: int) -> bool:
-        """Turn the camera where an operator wants it; returns whether it is taken from the target. Not in a sweep."""
-        if self.wishes.gaze_deg is None or seek.measuring or seek.pointing.goal_us is None:
-            return False
-        seek.look(*self.wishes.gaze_deg, now_ns)
-        return True
+    def propose(self, situation: Situation) -> Iterable[Proposal[CameraAct]]:
+        """The camera, where a look is ordered."""
+        look_deg = self.overrides.look_deg
+        if look_deg is not None and situation.camera.goal_us is not None:
+            yield Proposal("camera", "operator", lambda at: CameraAct(look_deg))
 
     @property
     def ordered(self) -> tuple[str, ...] | UnsetType:
@@ -339,7 +302,7 @@ class Desk(Revertible):
             self._now.get((ordered.console, ordered.payload)) or self._left_out(ordered, now_ns) for ordered in orders
         )
         self._now = {}
-        at_once, self._doing.at_once = self._doing.at_once, AtOnce()
+        at_once = self._commands.take_at_once()
         return replace(outputs, answers=answers, motors=at_once.motors, box=at_once.box, preview_hz=at_once.preview_hz)
 
     def _answer(self, ordered: Ordered, now_ns: int) -> Answer:
@@ -355,7 +318,7 @@ class Desk(Revertible):
                 return again
             if why := again or self._too_old(order, now_ns):
                 raise Refusal("content", why)
-            self._doing.carry_out(what)
+            self._commands.carry_out(what)
         except Refusal as refusal:
             text = "".join(letter if letter.isprintable() else "?" for letter in str(refusal))  # some are a stranger's
             about = f"refuses what {console[:16]} orders{f', {said}' if said else ''}: {text}"
@@ -407,7 +370,7 @@ class Desk(Revertible):
                 return self._answer(ordered, now_ns)
             except Exception:  # noqa: BLE001 - the motors go off whatever is broken
                 if not why_closed(self._fleet, ordered.console):
-                    self._doing.halt(order.verb)
+                    self._commands.halt(order.verb)
                     self._halted_ns, why = now_ns, None
         return self._said(ordered, order, in_words(order.verb, what), why, now_ns)
 

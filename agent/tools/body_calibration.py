@@ -29,6 +29,7 @@ from agent.capabilities.swim.pose_filter import (
     begin,
     predict,
 )
+from agent.capabilities.swim.swim import swimmer_of
 from agent.core.config import ConfigError
 from agent.core.linear_algebra import wrap
 from agent.core.ranging.camera_model import BodyFit
@@ -239,10 +240,11 @@ def read_trial(box: BlackBox, show: Show = lambda done, total, what="": None) ->
     if box.fleet.navigation is None:
         raise Failed(f"{box.path}: '{box.robot}' was moored; record a robot that swims, with behaviour 'trial'")
     agent, events = box.agent(), dict[Event, None]()
-    assert agent.swimmer is not None  # the fleet swims
+    swimmer = swimmer_of(agent.capabilities)
+    assert swimmer is not None  # the fleet swims
     for step in box.steps():
         take(agent, step)
-        events.update(dict.fromkeys(agent.swimmer.localizer.events))
+        events.update(dict.fromkeys(swimmer.localizer.events))
         if step.number % 200 == 0:
             show(step.number, box.recorded)
     return Trial(tuple(sorted(events)), box.fleet.navigation.gyro)

@@ -25,8 +25,8 @@ from agent.core.messages import SCHEMA, Estimate, Order, Presence
 from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Heard, Inputs, Ordered
 from agent.core.topics import CLAIM, KEYFRAME, LIGHT, NEAR
+from agent.core.verbs import arguments, in_words
 from agent.robot.step import Agent
-from agent.robot.verbs import arguments, in_words
 from replay.check.compare import Difference, Ignored, differences, must_differ, note, written
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.info import damages

@@ -30,7 +30,7 @@ def poisoned(agent: Agent, monkeypatch: pytest.MonkeyPatch, payload: bytes = POI
     def broken(item, status, now_ns) -> None:
         if item.payload == payload:
             agent.inbox.refused["half done"] = 1
-            agent.current.estimator.t += 1000
+            agent.measuring.current.estimator.t += 1000
             raise KeyError("r9")
         take(item, status, now_ns)
 
@@ -62,7 +62,7 @@ def test_one_message_that_breaks_a_step_is_left_out_and_the_others_count(swarm, 
     ours = agent.step(Inputs(heard=(*mail[:1], heard("r2", POISON, now_ns), *mail[1:])), now_ns)
     theirs = twin.step(Inputs(heard=mail), now_ns)
     assert ours.says == theirs.says
-    assert agent.current.estimator.t == twin.current.estimator.t
+    assert agent.measuring.current.estimator.t == twin.measuring.current.estimator.t
     assert "half done" not in agent.inbox.refused
     state = swarm.state("r1")
     assert state.mode == "degraded"
@@ -84,10 +84,10 @@ def test_a_kernel_that_breaks_whatever_it_is_told_holds_its_depth_then_goes_up(s
     agent, now_ns = swarm.agents["r1"], swarm.now_ns
     sound = agent.step(Inputs(), now_ns + 1).set_point
 
-    def broken(now_ns: int) -> None:
+    def broken(*about: object) -> None:
         raise RecursionError
 
-    monkeypatch.setattr(agent, "_iterate", broken)
+    monkeypatch.setattr(agent.measuring, "iterate", broken)
     depths, states = [], []
     for k in range(2 * SURFACE_AFTER):
         outputs = agent.step(Inputs(), now_ns + 2 + k * 50_000_000)
@@ -105,7 +105,7 @@ def test_a_kernel_that_breaks_whatever_it_is_told_holds_its_depth_then_goes_up(s
 def test_keys_told_in_a_step_that_came_to_nothing_are_told_again(swarm, monkeypatch) -> None:
     agent, now_ns = swarm.agents["r1"], swarm.now_ns
     keys = {"r2": bytes(32)}
-    monkeypatch.setattr(agent, "_iterate", lambda now_ns: 1 / 0)
+    monkeypatch.setattr(agent.measuring, "iterate", lambda *about: 1 / 0)
     agent.step(Inputs(keys=keys), now_ns + 1)
     monkeypatch.undo()
     told: list[dict] = []

@@ -156,7 +156,7 @@ def test_what_swimmers_that_survey_say_is_believed() -> None:
         heard |= {each.topic for inputs in swimmers.inputs.values() for each in inputs.heard}
     assert {"near", "claim"} <= heard
     assert [agent.inbox.refused for agent in swimmers.agents.values()] == [{}] * 3
-    claims = [agent.survey.exchange.letters for agent in swimmers.agents.values()]
+    claims = [agent.capabilities["survey"].exchange.letters for agent in swimmers.agents.values()]
     assert all(sender.newest for letters in claims for sender in letters.senders.values())
 
 

@@ -15,9 +15,9 @@ import numpy as np
 from agent.core import messages, step_io, topics, trust
 from agent.core.codec import Refusal, decode, encode
 from agent.core.messages import Estimate, Image, LogLine, Message, Order, State
+from agent.core.verbs import VERBS
 from agent.ground import schemas
 from agent.robot.step import Agent
-from agent.robot.verbs import VERBS
 from hw.camera import frame_socket
 from hw.camera.frame_socket import Reply, Request, Torn
 from hw.camera.v4l2 import MJPG, YUYV, Format
@@ -102,9 +102,9 @@ def _codec(kind: type[Message], payload: bytes) -> None:
 
 def _order(agent: Agent, payload: bytes) -> None:
     ordered = step_io.Ordered(arrived_ns=1, console="ann", payload=payload)
-    agent.desk.take((ordered,), 10**9)
+    agent.operator.take((ordered,), 10**9)
     before = step_io.Outputs(set_point=step_io.SetPoint(depth_m=0.4))
-    (answer,) = agent.desk.complete(before, (ordered,), 10**9).answers
+    (answer,) = agent.operator.complete(before, (ordered,), 10**9).answers
     assert len(encode(answer)) <= topics.ANSWER.limit, "an answer that nobody takes in"
     assert answer.ok is not bool(answer.why) and (answer.why + answer.order).isprintable(), "no line"
     for line in agent.status.log.fetch(10**9):

@@ -47,7 +47,7 @@ def test_look_takes_the_camera_from_the_target_and_resume_gives_it_back(robot) -
     outputs = robot.run(6.0)
     assert looks_deg(robot) == pytest.approx((-20.0, 5.0), abs=0.3)
     assert not any(each.sweep for each in outputs[40:])
-    assert robot.agent.current.estimator.t > 0  # iterations go on
+    assert robot.agent.measuring.current.estimator.t > 0  # iterations go on
     assert robot.give("look", {"pan_deg": 30.0}).ok
     robot.run(2.0)
     assert looks_deg(robot) == pytest.approx((30.0, 0.0), abs=0.3)
@@ -94,12 +94,15 @@ def test_a_lamp_burns_as_ordered_and_is_lent_to_nobody_meanwhile() -> None:
     centre, per_deg = FLEET.body.servo_centre_us, FLEET.body.servo_us_per_deg
     assert robot.outputs.set_point.light == 0.25
     assert robot.outputs.set_point.servos_us[2:] == (round(centre + 30 * per_deg), round(centre - 10 * per_deg))
-    assert robot.agent.lights.own.now.cannot == "busy" and robot.agent.lights.own.now.power == 0.25
+    assert (
+        robot.agent.capabilities["light"].own.now.cannot == "busy"
+        and robot.agent.capabilities["light"].own.now.power == 0.25
+    )
     assert robot.give("lamp", {"light": 0.0}).ok
     assert {each.set_point.light for each in robot.run(1.0)} == {0.0}
     assert robot.give("resume").ok
     robot.run(1.0)
-    assert robot.outputs.set_point.light == 1.0 and robot.agent.lights.own.now.cannot == ""
+    assert robot.outputs.set_point.light == 1.0 and robot.agent.capabilities["light"].own.now.cannot == ""
 
 
 def test_what_holds_is_shown_with_who_ordered_it_and_stands_in_the_log(robot) -> None:

@@ -9,10 +9,10 @@ from agent.core.config import Access, Fleet
 from agent.core.messages import MAX_ORDER
 from agent.core.step_io import Ordered
 from agent.core.step_transaction import SURFACE_AFTER
+from agent.core.verbs import LookAt, Stop
 from agent.robot import operator
-from agent.robot.operator import STALE_NS, Doing
-from agent.robot.step import Agent
-from agent.robot.verbs import LookAt, Stop
+from agent.robot.operator import STALE_NS, Commands
+from agent.robot.targets import Targets
 from tests.robot.ordering import FLEET, START_NS, Ordering
 
 
@@ -27,7 +27,7 @@ def robot() -> Ordering:
 def test_a_step_without_orders_has_nothing_new_in_it(robot) -> None:
     assert not any(word in robot.steps[-1][2] for word in (b"answers", b"motors", b"preview_hz", b"box"))
     assert b"orders" not in robot.steps[-1][1]
-    assert b"ordered" not in encode(robot.agent.current.last_state)
+    assert b"ordered" not in encode(robot.agent.measuring.current.last_state)
 
 
 def test_every_order_is_answered_in_its_step_and_in_turn(robot) -> None:
@@ -60,10 +60,10 @@ def test_every_order_is_answered_in_its_step_and_in_turn(robot) -> None:
     ],
 )
 def test_what_a_robot_cannot_do_is_refused_with_why(robot, verb: str, args: dict, why: str) -> None:
-    before = robot.agent.desk.wishes
+    before = robot.agent.operator.overrides
     answer = robot.give(verb, args)
     assert not answer.ok and why in answer.why
-    assert robot.agent.desk.wishes == before and robot.outputs.motors is UNSET
+    assert robot.agent.operator.overrides == before and robot.outputs.motors is UNSET
 
 
 @pytest.mark.parametrize("payload", [b"", b"\xc1", b"\x80", b"\x93\x01\x02\x03", bytes(MAX_ORDER + 1)])
@@ -74,8 +74,8 @@ def test_what_cannot_be_read_is_answered_too(robot, payload: bytes) -> None:
 
 def test_a_thousand_times_the_same_order_is_carried_out_once(robot, monkeypatch) -> None:
     done: list[object] = []
-    carry_out = Doing.carry_out
-    monkeypatch.setattr(Doing, "carry_out", lambda self, what: done.append(what) or carry_out(self, what))
+    carry_out = Commands.carry_out
+    monkeypatch.setattr(Commands, "carry_out", lambda self, what: done.append(what) or carry_out(self, what))
     orders = [robot.order("hold", {"depth_m": 0.2}), robot.order("stop"), robot.order("arm", seen=(START_NS, 0))]
     first = robot.step(*orders)
     assert first.motors == "off" and [answer.ok for answer in first.answers] == [True, True, False]
@@ -136,7 +136,7 @@ def test_one_id_for_two_orders_is_a_mistake_and_a_stop_goes_through(robot) -> No
 def test_consoles_that_name_themselves_at_will_fill_no_memory(robot) -> None:
     for i in range(3 * operator.CONSOLES):
         robot.give("look", {"pan_deg": 0.0}, console=f"c{i}")
-    assert len(robot.agent.desk._memory._by_console) == operator.CONSOLES
+    assert len(robot.agent.operator._memory._by_console) == operator.CONSOLES
 
 
 def listening(*endpoints: str, consoles: tuple[str, ...] = ()) -> Fleet:
@@ -180,14 +180,14 @@ def test_who_may_order(fleet: Fleet, console: str, why: str) -> None:
 
 def breaks(monkeypatch: pytest.MonkeyPatch, kind: type) -> None:
     """A kernel with a fault: one kind of order breaks it."""
-    carry_out = Doing.carry_out
+    carry_out = Commands.carry_out
 
     def broken(self, what) -> None:
         carry_out(self, what)
         if isinstance(what, kind):
             raise KeyError("r9")
 
-    monkeypatch.setattr(Doing, "carry_out", broken)
+    monkeypatch.setattr(Commands, "carry_out", broken)
 
 
 def test_an_order_that_breaks_a_step_is_left_out_and_the_others_count(robot, monkeypatch) -> None:
@@ -197,7 +197,7 @@ def test_an_order_that_breaks_a_step_is_left_out_and_the_others_count(robot, mon
     assert [answer.ok for answer in outputs.answers] == [True, False, True]
     assert "broke" in outputs.answers[1].why
     assert outputs.motors == "off" and outputs.set_point.depth_m == 0.2
-    assert robot.agent.desk.wishes.gaze_deg is None
+    assert robot.agent.operator.overrides.look_deg is None
     assert not robot.agent.net.holds
     assert "KeyError" in robot.agent.net.fault(robot.now_ns) and "by a message of ann" in robot.agent.net.fault(
         robot.now_ns
@@ -206,10 +206,10 @@ def test_an_order_that_breaks_a_step_is_left_out_and_the_others_count(robot, mon
 
 
 def test_a_stop_outlives_a_kernel_that_is_broken(robot, monkeypatch) -> None:
-    def broken(self, now_ns: int) -> None:
+    def broken(*about: object) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr(Agent, "_iterate", broken)
+    monkeypatch.setattr(Targets, "iterate", broken)
     outputs = robot.step(robot.order("hold", {"depth_m": 0.2}), robot.order("stop", console="bob"))
     assert robot.agent.net.holds
     assert outputs.motors == "off" and [answer.ok for answer in outputs.answers] == [False, True]

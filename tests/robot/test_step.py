@@ -68,8 +68,8 @@ def test_silent_devices_are_named_within_a_second_and_talk_goes_on() -> None:
     for step in range(20):
         outputs = agent.step(Inputs(), 10**18 + step * 50_000_000)
         said += len(outputs.says)
-    assert agent.current.last_state is not None
-    assert agent.current.last_state.faults == ("no frames", "no telemetry")
+    assert agent.measuring.current.last_state is not None
+    assert agent.measuring.current.last_state.faults == ("no frames", "no telemetry")
     assert said == 2 * 10
     assert msgspec.structs.asdict(outputs.set_point)["depth_m"] == 0.40
 

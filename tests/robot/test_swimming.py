@@ -25,7 +25,7 @@ class Told(InTank):
 def robot() -> Told:
     """One that knows where it is and holds its pose."""
     robot = Told(fleet())
-    assert robot.until(lambda: robot.agent.swimmer.under_way, 12.0)
+    assert robot.until(lambda: robot.swimmer.under_way, 12.0)
     robot.run(2.0)
     return robot
 
@@ -76,7 +76,7 @@ def test_it_swims_no_faster_than_it_is_told(robot) -> None:
 def test_where_it_cannot_swim_it_is_not_sent(robot, verb: str, args: dict, why: str) -> None:
     answer = robot.give(verb, **args)
     assert not answer.ok and why in answer.why
-    assert robot.agent.swimmer.does == "hold"
+    assert robot.swimmer.does == "hold"
 
 
 def test_all_behaviours_begin(robot) -> None:
@@ -89,11 +89,11 @@ def test_all_behaviours_begin(robot) -> None:
     ):
         assert robot.give(verb, **args).ok
         robot.run(0.5)
-        assert robot.agent.swimmer.task.behaviour.__struct_config__.tag == verb
+        assert robot.swimmer.task.behaviour.__struct_config__.tag == verb
 
 
 def test_a_look_gives_way_to_landmarks(robot) -> None:
     """Who looks elsewhere for long would not know where it is."""
     assert robot.give("look", pan_deg=60.0, tilt_deg=-20.0).ok
     robot.run(30.0)
-    assert not robot.agent.swimmer.lost
+    assert not robot.swimmer.lost

@@ -40,7 +40,7 @@ class Stepped:
             heard = () if telemetry is None else (module(self.now_ns, **telemetry),)
             outputs = self.agent.step(Inputs(telemetry=heard, faults=faults), self.now_ns)
             self.log += [(line.level, line.text) for line in outputs.log]
-        state = self.agent.current.last_state
+        state = self.agent.measuring.current.last_state
         assert state is not None
         return state
 

@@ -121,7 +121,7 @@ class Robot:
     @property
     def t(self) -> int:
         """The iteration that its target is at."""
-        return self.agent.current.estimator.t
+        return self.agent.measuring.current.estimator.t
 
     def _record(self, number: int, now_ns: int, inputs: bytes, outputs: bytes | None) -> None:
         if outputs is not None:

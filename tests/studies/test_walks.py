@@ -13,7 +13,7 @@ from agent.core.estimation.protocols import Metropolis
 from agent.core.status import Status
 from agent.process.agent_process import Runtime
 from agent.robot.fleet_reader import load_fleet
-from agent.robot.operator import Desk
+from agent.robot.operator import Operator
 from agent.robot.step import Agent
 from hw.firmware.frames import Framer
 from hw.stm32.driver import Stm32
@@ -48,7 +48,7 @@ def test_a_value_goes_from_its_reader_to_the_protocol_that_it_chooses(value: Ent
 
 
 def test_what_a_step_does_without_the_value_is_not_on_its_walk(value: Entered) -> None:
-    for function in (Evidence.tick, Desk.take, AttitudeLog.add):
+    for function in (Evidence.tick, Operator.take, AttitudeLog.add):
         assert not value.passes(function) and place(function) not in value.files
 
 
@@ -57,7 +57,7 @@ def test_a_byte_goes_through_the_drivers_thread_and_the_loop(byte: Entered) -> N
         assert byte.passes(function)
     for handed_on in (Stm32._run, Runtime.step, Agent.step):
         assert byte.passes(handed_on)
-    assert not byte.passes(Stm32.send) and not byte.passes(Desk.take)
+    assert not byte.passes(Stm32.send) and not byte.passes(Operator.take)
 
 
 def test_files_are_the_products_alone_and_each_is_named_once(byte: Entered, value: Entered) -> None:

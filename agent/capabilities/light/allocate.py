@@ -24,13 +24,12 @@ from agent.capabilities.light.model import (
     pair,
     single_veil,
 )
-from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.attitude import Attitude
+from agent.core.capability import Situation
 from agent.core.capability_messages import LampNow, Why
 from agent.core.config import Body, Fleet, Lighting, Pose, Target
 from agent.core.control.pointing import HIGHEST_US, LOWEST_US, SLEW_US_PER_S
-from agent.core.control.target_search import Seek
-from agent.core.messages import Presence, Vector
+from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Calibration, Eye, camera_pose, look_at
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Telemetry
@@ -520,29 +519,23 @@ def axis_of(eye: Eye) -> Vector:
     return x, y, z
 
 
-def looked_at(seek: Seek, level: Attitude, believed_m: Vector | None) -> Vector:
+def looked_at(eye: Eye, believed_m: Vector | None) -> Vector:
     """What the camera looks at: as far ahead of it as the target is believed to be."""
-    eye = seek.eye(level)
     ahead_m = AHEAD_M if believed_m is None else max(math.dist(believed_m, eye.position_m), 0.2)
     x, y, z = (at + ahead_m * way for at, way in zip(eye.position_m, axis_of(eye), strict=True))
     return x, y, z
 
 
-def others(fleet: Fleet, me: str, swimmer: Swimmer | None) -> dict[str, tuple[Pose, Attitude]]:
+def others(fleet: Fleet, me: str, situation: Situation) -> dict[str, tuple[Pose, Attitude]]:
     """Where the neighbours with lamps are: as they say, or where they are moored; level, for nobody hears otherwise."""
     found = {}
+    said = None if situation.neighbours is None else {each.name: each for each in situation.neighbours}
     for name in fleet.robot[me].neighbours:
         robot = fleet.robot[name]
         if not robot.lamp:
             continue
-        if swimmer is None:
+        if said is None:
             found[name] = robot.pose, Attitude(robot.depth_m, 0.0, 0.0)
-        elif (letter := swimmer.company.neighbours.letters.senders[name].newest) is not None:
-            found[name] = place_of(letter.message)
+        elif (there := said.get(name)) is not None:
+            found[name] = there.pose, Attitude(there.depth_m, 0.0, 0.0)
     return found
-
-
-def place_of(said: Presence) -> tuple[Pose, Attitude]:
-    """Where a robot is that says so."""
-    pose = Pose(x_m=said.x_m, y_m=said.y_m, yaw_deg=math.degrees(said.yaw_rad))
-    return pose, Attitude(said.depth_m, 0.0, 0.0)

@@ -19,6 +19,7 @@ from typing import Literal, NamedTuple
 from msgspec import UNSET
 from msgspec.structs import replace
 
+from agent.core.capability import Spoiled
 from agent.core.capability_messages import MOST_HOLDS_S, LampNow, Lease, LeaseAck, Light, Why, light_fault
 from agent.core.codec import Refusal
 from agent.core.config import Fleet
@@ -229,12 +230,6 @@ class Baseline(NamedTuple):
     since_ns: int
     own_changes: int
     marks: tuple[tuple[str, Mark], ...]  # by name
-
-
-class Spoiled(NamedTuple):
-    """Why a sweep does not count."""
-
-    reason: str
 
 
 def baseline(party: Party, own: LampNow, now_ns: int) -> Baseline | str:

@@ -4,7 +4,8 @@ light.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Iterable
+from typing import Literal, NamedTuple
 
 from agent.capabilities.light.allocate import (
     LENDS_BELOW,
@@ -17,13 +18,12 @@ from agent.capabilities.light.allocate import (
     looked_at,
     warmed,
 )
-from agent.capabilities.light.lease import Bound, Party, Phase, Spoiled, Talk, lit_by
-from agent.capabilities.swim.swimmer import Swimmer
+from agent.capabilities.light.lease import Bound, Party, Phase, Talk, lit_by
 from agent.core.attitude import Attitude, AttitudeLog
+from agent.core.capability import LampAct, OwnView, Proposal, Situation, Spoiled, eye_of
 from agent.core.capability_messages import LampNow, Lease, Why
 from agent.core.config import Fleet, Lighting
-from agent.core.control.target_search import Seek
-from agent.core.messages import LampState, Vector
+from agent.core.messages import LampState
 from agent.core.step_transaction import Revertible
 
 AWAKE_NS = 1_000_000_000  # after a start nobody knows how the module's lamp burned before
@@ -44,15 +44,15 @@ class Obeyed(NamedTuple):
 class OwnLamp(Revertible):
     """Of one robot, between steps; of one without a lamp it stays dark."""
 
-    def __init__(self, fleet: Fleet, name: str, lighting: Lighting, swimmer: Swimmer | None) -> None:
-        self.has, self._name, self._swimmer = fleet.robot[name].lamp, name, swimmer
+    def __init__(self, fleet: Fleet, name: str, lighting: Lighting, attitude: AttitudeLog) -> None:
+        self.has, self._fleet, self._name, self._attitude = fleet.robot[name].lamp, fleet, name, attitude
         self.aim = aim_of(fleet, lighting)
         centre_us = round(fleet.body.servo_centre_us)
         self.lamp = LampControl((centre_us, centre_us))
         self._obeyed: Obeyed | None = None
         self._us: tuple[int, int] | None = None  # by the own lease
         self._woke = False
-        self.ordered: OrderedLight | None = None  # by somebody; None: it burns as light is lent
+        self._ordered: OrderedLight | None = None  # by an operator; None: it burns as light is lent
         self._bound_ns = 0  # since when it obeys this lease
         self._comes = False  # it is to burn for it, as soon as its robot rests
         self.now = LampNow()
@@ -67,62 +67,75 @@ class OwnLamp(Revertible):
         """Why it does not burn for the lease that it obeys."""
         return "" if self._obeyed is None else self._obeyed.dark
 
-    def tick(self, party: Party, attitude: AttitudeLog, now_ns: int) -> None:
-        """Some time has passed."""
+    def order(self, lit: OrderedLight | None) -> None:
+        """Burn so from now on, whatever is lent; None: as light is lent."""
+        self._ordered = lit
+
+    def tick(self, party: Party, own: OwnView | None, now_ns: int) -> None:
+        """Some time has passed. own: of a robot that swims."""
         if not self._woke:
             self._woke, self.lamp = True, self.lamp._replace(steady_ns=now_ns + AWAKE_NS)
         self.lamp = warmed(self.lamp, now_ns)
-        self._show(party, attitude, now_ns)
+        self._show(party, own, now_ns)
 
-    def burn(
-        self,
-        party: Party,
-        seek: Seek,
-        believed_m: Vector | None,
-        keeps: bool,
-        attitude: AttitudeLog,
-        now_ns: int,
-    ) -> None:
-        """As it shall from now on. keeps: a sweep of its robot's is under way, and light must not change.
+    def propose(self, party: Party, keeps: bool, level: Attitude | None) -> Iterable[Proposal[LampAct]]:
+        """How it burns from now on, row by row of the table of priorities. keeps: a sweep of its robot's is under way.
+        level: by the newest telemetry, however old.
 
         It goes dark at once, whatever is under way, where the control module is silent, disarmed or surfacing, the
         battery is empty or the lamp too warm.
         """
-        telemetry = attitude.newest
-        level = None if telemetry is None else attitude.at(telemetry.t_ns)
-        power, us = self.lamp.power, self.lamp.us
-        if level is None or cannot(self.has, self.lamp, telemetry, attitude.silent(now_ns, 0)):
-            power = 0.0
-        elif self.ordered is not None:
-            power, us = self._as_ordered(party, self.ordered)
-        elif not keeps:
-            power, us = self._wanted(party, seek, believed_m, level, now_ns)
-        self.lamp = command(self.lamp, power, us, now_ns)
-        self._show(party, attitude, now_ns)
+        return (
+            Proposal("lamp", "safe", lambda at: self._safe(party, at._replace(level=level))),
+            Proposal("lamp", "operator", lambda at: self._by_operator(party, at._replace(level=level))),
+            Proposal("lamp", "sweep", lambda at: self._keeps(party, at._replace(level=level)) if keeps else None),
+            Proposal("lamp", "lent", lambda at: self._lent(party, at._replace(level=level))),
+            Proposal("lamp", "lease", lambda at: self._leased(party, at._replace(level=level))),
+            Proposal("lamp", "camera", lambda at: self._with_camera(party, at._replace(level=level))),
+        )
 
-    def _wanted(
-        self,
-        party: Party,
-        seek: Seek,
-        believed_m: Vector | None,
-        level: Attitude,
-        now_ns: int,
-    ) -> tuple[float, tuple[int, int]]:
-        """Power and pulses."""
-        if party.bound is None:
-            self._obeyed = None
-        else:
-            self._us = None
-            return self._obedient(self._obey(party.bound, seek, level, now_ns), now_ns)
-        if party.mine is not None and party.mine.granted:
-            if self._us is None:
-                at_m = party.mine.lease.at_m or looked_at(seek, level, believed_m)
-                self._us = self.aim.at(at_m, seek.pose, level)[0]
-            return (1.0 if self._name in lit_by(party) else 0.0), self._us
+    def _burn(self, power: float, us: tuple[int, int], party: Party, at: Situation) -> LampAct:
+        self.lamp = command(self.lamp, power, us, at.now_ns)
+        self._show(party, at.own, at.now_ns)
+        return LampAct(self.lamp.power, self.lamp.us)
+
+    def _safe(self, party: Party, at: Situation) -> LampAct | None:
+        silent = self._attitude.silent(at.now_ns, 0)
+        unsafe = at.level is None or cannot(self.has, self.lamp, self._attitude.newest, silent)
+        return self._burn(0.0, self.lamp.us, party, at) if unsafe else None
+
+    def _by_operator(self, party: Party, at: Situation) -> LampAct | None:
+        return None if self._ordered is None else self._burn(*self._as_ordered(party, self._ordered), party, at)
+
+    def _keeps(self, party: Party, at: Situation) -> LampAct:
+        return self._burn(self.lamp.power, self.lamp.us, party, at)
+
+    def _lent(self, party: Party, at: Situation) -> LampAct | None:
+        """By a neighbour's lease."""
+        if party.bound is None or at.level is None:
+            return None
         self._us = None
-        us, _ = self.aim.at(looked_at(seek, level, believed_m), seek.pose, level)
-        near = max(abs(to - at) for to, at in zip(us, self.lamp.us, strict=True)) <= NEAR_US
-        return 1.0, self.lamp.us if near and self.lamp.power else us
+        return self._burn(*self._obedient(self._obey(party.bound, at, at.level), at), party, at)
+
+    def _leased(self, party: Party, at: Situation) -> LampAct | None:
+        """By the own lease."""
+        self._obeyed = None
+        if party.mine is None or not party.mine.granted or at.level is None:
+            return None
+        if self._us is None:
+            eye = eye_of(self._fleet, at.camera, at.pose, at.level)
+            at_m = party.mine.lease.at_m or looked_at(eye, at.target.believed_m)
+            self._us = self.aim.at(at_m, at.pose, at.level)[0]
+        return self._burn(1.0 if self._name in lit_by(party) else 0.0, self._us, party, at)
+
+    def _with_camera(self, party: Party, at: Situation) -> LampAct:
+        """Beside its camera."""
+        self._us = None
+        level = at.level or Attitude(0.0, 0.0, 0.0)
+        eye = eye_of(self._fleet, at.camera, at.pose, level)
+        us, _ = self.aim.at(looked_at(eye, at.target.believed_m), at.pose, level)
+        near = max(abs(to - now) for to, now in zip(us, self.lamp.us, strict=True)) <= NEAR_US
+        return self._burn(1.0, self.lamp.us if near and self.lamp.power else us, party, at)
 
     def _as_ordered(self, party: Party, lit: OrderedLight) -> tuple[float, tuple[int, int]]:
         """It does not change for anybody's lease; whoever has one is told, and own sweeps are made as it burns."""
@@ -133,53 +146,52 @@ class OwnLamp(Revertible):
             self._obeyed = Obeyed((bound.holder, bound.incarnation, bound.lease.number), lit.light, us, "busy")
         return lit.light, us
 
-    def _obedient(self, obeyed: Obeyed, now_ns: int) -> tuple[float, tuple[int, int]]:
+    def _obedient(self, obeyed: Obeyed, at: Situation) -> tuple[float, tuple[int, int]]:
         """Power and pulses by a neighbour's lease. A lamp that moves lights nobody: it comes to rest first, or stays
         dark; one that burns already goes dark if it is carried away."""
-        speed_m_s = self._speed_m_s(now_ns)
+        speed_m_s = speed(at.own)
         begins = bool(obeyed.power) and not self.lamp.power and speed_m_s > STILL_M_S
-        self._comes = begins and now_ns - self._bound_ns < BRAKES_NS
+        self._comes = begins and at.now_ns - self._bound_ns < BRAKES_NS
         if begins and not self._comes:
             obeyed = obeyed._replace(power=0.0, dark="moves")
         self._obeyed = obeyed
         return (0.0, self.lamp.us) if begins or speed_m_s > 2.0 * STILL_M_S else (obeyed.power, obeyed.us)
 
-    def _obey(self, bound: Bound, seek: Seek, level: Attitude, now_ns: int) -> Obeyed:
+    def _obey(self, bound: Bound, at: Situation, level: Attitude) -> Obeyed:
         """By a neighbour's lease: decided once."""
         lease = bound.holder, bound.incarnation, bound.lease.number
         if self._obeyed is not None and self._obeyed.lease == lease:
             return self._obeyed
-        self._bound_ns = now_ns
+        self._bound_ns = at.now_ns
         power, us, dark = dict(bound.lease.lamps).get(self._name, 0.0), self.lamp.us, self.now.cannot
         if power and not dark and bound.lease.at_m is not None:
-            us, there = self.aim.at(bound.lease.at_m, seek.pose, level)
+            us, there = self.aim.at(bound.lease.at_m, at.pose, level)
             dark = "" if there else "limit"
         return Obeyed(lease, 0.0, self.lamp.us, dark) if dark else Obeyed(lease, power, us, dark)
 
-    def _show(self, party: Party, attitude: AttitudeLog, now_ns: int) -> None:
+    def _show(self, party: Party, own: OwnView | None, now_ns: int) -> None:
         """As it is told."""
-        lamp, telemetry = self.lamp, attitude.newest
+        lamp, telemetry = self.lamp, self._attitude.newest
         used = load(lamp, telemetry)
-        why = cannot(self.has, lamp, telemetry, attitude.silent(now_ns, 0))
+        why = cannot(self.has, lamp, telemetry, self._attitude.silent(now_ns, 0))
         if not why and used >= LENDS_BELOW:
             why = "heat" if lamp.warm >= LENDS_BELOW else "battery"
-        if not why and self._speed_m_s(now_ns) > STILL_M_S and not self._may_stop:
+        may_stop = own is not None and own.under_way  # it holds still for a robot that asks for its light
+        if not why and speed(own) > STILL_M_S and not may_stop:
             why = "moves"
-        if not why and self.ordered is not None:
+        if not why and self._ordered is not None:
             why = "busy"
         pan, tilt = self.aim.deg(lamp.us)
         whose = None if party.bound is None else party.bound.holder
         steady = lamp.steady(now_ns) and not (self._comes and whose is not None)
         self.now = LampNow(lamp.power, pan, tilt, lamp.changes, steady, used, why, whose)
 
-    @property
-    def _may_stop(self) -> bool:
-        """It swims as it is told to, and holds still for who asks for its light."""
-        return self._swimmer is not None and self._swimmer.under_way
 
-    def _speed_m_s(self, now_ns: int) -> float:
-        here = None if self._swimmer is None else self._swimmer.localizer.at(now_ns)
-        return 0.0 if here is None else max(abs(here.x[3]), abs(here.x[4]))
+def speed(own: OwnView | None) -> float:
+    """Of a robot that swims, along the faster axis, m/s."""
+    if own is None or own.own is None:
+        return 0.0
+    return max(abs(own.own.velocity[0]), abs(own.own.velocity[1]))
 
 
 # --- telemetry ---
@@ -217,14 +229,28 @@ AGAIN_NS, LONGEST_AGAIN_NS = 400_000_000, 6_400_000_000  # after light that gave
 RETRY_NS = 200_000_000  # after a lease that was not given, and after one that was
 
 
+# What becomes of the light of one sweep, beside the lease (lease.py), which may end under it.
+Exposure = Literal["none", "sweeping", "judged"]
+ExposureEvent = Literal["granted", "began", "ended", "over"]
+
+
+def exposed(phase: Exposure, event: ExposureEvent) -> Exposure:
+    """A lease was granted, a sweep began, its last frame is in, and what came of it is known."""
+    match event:
+        case "began":
+            return "judged" if phase == "judged" else "sweeping"
+        case "ended":
+            return "judged"
+    return "none"
+
+
 class Turn(Revertible):
     """Of one robot of a fleet with [lighting], between steps."""
 
     def __init__(self, talk: Talk, own: OwnLamp) -> None:
         self.talk, self.own = talk, own
         self.granted_ns = self._served_ns = self._retry_ns = 0
-        self.swept = False  # a sweep began by the lease
-        self.judging = False  # one has ended whose light is not known to have stayed
+        self.exposure: Exposure = "none"
         self.spoiled = 0  # sweeps so far whose light did not
         self._fruitless = 0  # leases in a row without one
         self.assumed, self.burned = tuple[str, ...](), tuple[str, ...]()  # whose lamps a sweep took to, and that did
@@ -240,15 +266,15 @@ class Turn(Revertible):
         self.talk.tick(now_ns)
         phase = self.phase
         if phase == "holds" != before:
-            self.granted_ns, self.swept = now_ns, False
+            self.granted_ns, self.exposure = now_ns, exposed(self.exposure, "granted")
         elif phase == "free" and before == "asks":
             self._retry_ns = now_ns + RETRY_NS
-        return phase == "holds" and not self.swept and now_ns - self.granted_ns > LOOK_NS
+        return phase == "holds" and self.exposure == "none" and now_ns - self.granted_ns > LOOK_NS
 
     def idle(self, now_ns: int) -> bool:
         """It may ask."""
         known = now_ns >= self._retry_ns and self.talk.acquainted(now_ns)
-        return self.phase == "free" and known and not self.judging
+        return self.phase == "free" and known and self.exposure != "judged"
 
     def rests(self, now_ns: int) -> bool:
         """All lamps that this robot knows of are at rest, its own by the own lease."""
@@ -263,19 +289,18 @@ class Turn(Revertible):
     def began(self, now_ns: int) -> None:
         """A sweep begins with this step."""
         self.talk.begin(self.own.now, now_ns)
-        self.swept = True
+        self.exposure = exposed(self.exposure, "began")
         self.assumed, self.burned = lit_by(self.talk.party), self.talk.burned(self.own.now)
 
     def ended(self, now_ns: int) -> None:
         """Its last frame is in."""
-        self.judging = True
+        self.exposure = exposed(self.exposure, "ended")
         self.talk.end(now_ns)
 
     def verdict(self, now_ns: int) -> Spoiled | bool | None:
         """What became of the sweep that ended: True, it counts; None: not known yet. The lease ends with it."""
         if (found := self.talk.verdict(self.own.now, now_ns)) is None:
             return None
-        self.judging = False
         if isinstance(found, Spoiled):
             self.spoiled += 1
         else:
@@ -288,7 +313,7 @@ class Turn(Revertible):
             self._served_ns = now_ns
             self._retry_ns = max(self._retry_ns, now_ns + RETRY_NS)  # others were waiting, and shall be heard first
         self.talk.release()
-        self.swept = False
+        self.exposure = exposed(self.exposure, "over")
 
     def fail(self, now_ns: int) -> None:
         """The own lease showed nothing: the next one has more time to come, for others are waiting."""

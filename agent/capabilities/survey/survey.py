@@ -7,13 +7,10 @@ wants to be gives the view up after a while and chooses another.
 from __future__ import annotations
 
 import math
-from typing import Literal, NamedTuple
-
-from msgspec import UNSET, UnsetType
+from collections.abc import Iterable, Mapping
+from typing import Any, ClassVar, Literal, NamedTuple
 
 from agent.capabilities.light.allocate import FrameScene
-from agent.capabilities.light.lease import Spoiled
-from agent.capabilities.light.target_light import ViewLight
 from agent.capabilities.survey.candidates import (
     CANDIDATES,
     Ahead,
@@ -36,8 +33,18 @@ from agent.capabilities.survey.coverage_map import (
 )
 from agent.capabilities.survey.exchange import Exchange
 from agent.capabilities.swim.barrier import MARGIN_M, WALL_M, Planar
-from agent.capabilities.swim.swimmer import Swimmer, pose_of
-from agent.core.attitude import Attitude, AttitudeLog
+from agent.core.attitude import AttitudeLog
+from agent.core.capability import (
+    CameraAct,
+    Capability,
+    Context,
+    Outgoing,
+    Percept,
+    Proposal,
+    Situation,
+    Spoiled,
+    eye_of,
+)
 from agent.core.capability_messages import (
     BEND_ONE,
     MOST_BLOCKS,
@@ -53,18 +60,18 @@ from agent.core.capability_messages import (
     place_of,
     quantised,
 )
-from agent.core.codec import Refusal, decode
-from agent.core.config import Fleet, Pose, Survey
+from agent.core.codec import decode
+from agent.core.config import Fleet, Pose
+from agent.core.config import Survey as SurveyBehaviour
+from agent.core.control.pointing import reachable
 from agent.core.control.sweep import full_positions, home_position
-from agent.core.control.target_search import Seek
 from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
-from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, at_lens_position, to_world
+from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, at_lens_position, servos_us, to_world
 from agent.core.ranging.focus import at_tilt, h, lens_position, phase_sigma, range_variance
-from agent.core.status import Status
 from agent.core.step_io import BlockPeaks, Heard, SweepPlan
 from agent.core.step_transaction import Revertible
-from agent.core.topics import CLAIM, KEYFRAME
+from agent.core.topics import CLAIM, KEYFRAME, Topic
 
 # --- keyframe of a sweep ---
 # The clarity peaks of a sweep's blocks, and where the camera was, as a keyframe.
@@ -146,7 +153,7 @@ def _is_at(place_m: Vector, hull_m: Vector) -> bool:
 
 # --- surveyor ---
 
-Phase = Literal["choose", "go", "look", "sweep", "done"]
+Phase = Literal["choose", "go", "look", "sweep", "judge", "done"]  # judge: whether its light stayed
 
 EACH_STEP = 3  # candidates: 3 ms
 GO_NS = 25_000_000_000  # at most, then it looks for another view
@@ -168,7 +175,7 @@ class Surveyor(Revertible):
         self._robot, self._settings = fleet.robot[name], fleet.coverage
         self._sigma = sigma_of(calibration)
         self.known = CoverageMap(grid_of(fleet))
-        self.looks = isinstance(self._robot.behaviour, Survey)
+        self.looks = isinstance(self._robot.behaviour, SurveyBehaviour)
         self.phase: Phase = "choose" if self.looks else "done"
         self._number = 0  # of the newest keyframe
         self._k = 0  # the next candidate
@@ -229,7 +236,7 @@ class Surveyor(Revertible):
         self.chosen = self._best.candidate
         self._begin("go" if self._swims else "look", now_ns)
 
-    def swim(self, pose: Pose, still: bool, now_ns: int) -> None:
+    def go(self, pose: Pose, still: bool, now_ns: int) -> None:
         """While it is on its way: whether it is there, or gives up."""
         if self.phase != "go" or self.chosen is None:
             return
@@ -286,6 +293,15 @@ class Surveyor(Revertible):
 
     def awaits(self, peaks: BlockPeaks) -> bool:
         return self.phase == "sweep" and peaks.sweep == self._sweeps
+
+    def judge(self) -> None:
+        """Its sweep is over, and counts unless its light changed."""
+        self.phase = "judge"
+
+    @property
+    def sweeps(self) -> bool:
+        """A sweep is under way, or judged."""
+        return self.phase in ("sweep", "judge")
 
     def see(self, peaks: BlockPeaks, eye: Eye | None, hulls_m: tuple[Vector, ...], now_ns: int) -> Frame | None:
         """What the sweep showed, from where, but for other robots, which are at hulls_m; None: nothing, or it is not
@@ -360,31 +376,27 @@ class Swept(NamedTuple):
     hulls_m: tuple[Vector, ...]  # of other robots, world frame
 
 
-class Conduct(Revertible):
-    """A survey as part of a robot's step: where the robot swims and looks for it, what is taken in and told.
+class Survey(Capability):
+    """Of one robot of a fleet with [coverage]: where it looks, what is taken in and told.
 
-    Of a fleet without [coverage] it does nothing; of a robot with another behaviour than `survey` it keeps the map, and
-    passes on what others saw.
+    A robot with another behaviour than `survey` keeps the map, and passes on what others saw.
     """
 
-    def __init__(
-        self,
-        fleet: Fleet,
-        name: str,
-        calibration: Calibration,
-        incarnation: int,
-        swimmer: Swimmer | None,
-        light: ViewLight,
-    ) -> None:
-        self._fleet, self._name, self._swimmer, self._light = fleet, name, swimmer, light
-        self._swept: Swept | None = None  # a sweep that is over, and may not count
-        self.surveyor = None if fleet.coverage is None else Surveyor(fleet, name, calibration, incarnation)
-        self.exchange = None if self.surveyor is None else Exchange(fleet, name, incarnation, self.surveyor.known)
+    name: ClassVar[str] = "survey"
+    table: ClassVar[str] = "coverage"
+    does: ClassVar[str] = "surveys"
+    topics: ClassVar[tuple[Topic, ...]] = (CLAIM, KEYFRAME)
 
-    def hear(self, heard: Heard, accepted: frozenset[int]) -> None:
-        """A payload on a key of a survey's. Raises Refusal where it is not believed."""
-        if self.exchange is None:
-            raise Refusal("fleet file", "it surveys, and our file has no [coverage]; give all robots the same file")
+    def __init__(self, context: Context) -> None:
+        made_of = context.fleet, context.name, context.calibration, context.incarnation
+        self._fleet, self._name, self._camera = context.fleet, context.name, context.calibration.camera
+        self._attitude: AttitudeLog = context.attitude
+        self._log, self._light, self._source = context.log, context.light, context.source
+        self._swept: Swept | None = None  # of phase judge
+        self.surveyor = Surveyor(*made_of)
+        self.exchange = Exchange(context.fleet, context.name, context.incarnation, self.surveyor.known)
+
+    def receive(self, heard: Heard, accepted: frozenset[int]) -> None:
         if heard.topic == CLAIM.name:
             claim = decode(heard.payload, Claim, CLAIM.limit, accepted)
             self.exchange.hear_claim(heard.src, claim, heard.arrived_ns)
@@ -392,96 +404,106 @@ class Conduct(Revertible):
             said = decode(heard.payload, Keyframe, KEYFRAME.limit, accepted)
             self.exchange.hear_keyframe(heard.src, said, heard.arrived_ns)
 
-    def see(
-        self, blocks: tuple[BlockPeaks, ...], attitude: AttitudeLog, seek: Seek, status: Status, now_ns: int
-    ) -> None:
+    def update(self, percept: Percept, situation: Situation) -> Situation:
         """What sweeps showed that ended since the last step."""
-        if (surveyor := self.surveyor) is None:
-            return
-        for peaks in blocks:
-            if surveyor.awaits(peaks) and self._swept is None:
-                self._swept = Swept(peaks, self._eye(peaks.t_ns, attitude, seek), self._hulls())
+        surveyor, now_ns = self.surveyor, situation.now_ns
+        for peaks in percept.blocks:
+            if surveyor.awaits(peaks):
+                self._swept = Swept(peaks, self._eye(peaks.t_ns, situation), self._hulls(situation))
+                surveyor.judge()
                 self._light.ended(now_ns)
         if self._swept is not None and (found := self._light.verdict(now_ns)) is not None:
             swept, self._swept = self._swept, None
-            if isinstance(found, Spoiled):
-                surveyor.give_up(now_ns)
-                status.log.note("info", f"view {swept.peaks.sweep} was spoiled: {found.reason}", now_ns)
-            elif (made := surveyor.see(swept.peaks, swept.eye, swept.hulls_m, now_ns)) is None:
-                status.log.note("info", f"view {swept.peaks.sweep} gave no keyframe", now_ns)
-            else:
-                share = round(100 * surveyor.known.share())
-                status.log.note("info", f"keyframe {made.number}, {share} % of the tank is known", now_ns)
-        if self._swept is None and surveyor.missed(now_ns):
-            self._light.missed(now_ns)
-            status.log.note("warning", "a view's sweep did not end in time", now_ns)
-        seek.surveys = surveyor.phase == "sweep"
+            self._judged(swept, found, now_ns)
+        if surveyor.missed(now_ns):
+            self._light.failed(now_ns)
+            self._log.note("warning", "a view's sweep did not end in time", now_ns)
+        return situation._replace(view_sweep=surveyor.sweeps, station=self._station())
 
-    def act(self, seek: Seek, level: Attitude | None, status: Status, now_ns: int) -> tuple[bool, SweepPlan | None]:
-        """Whether the camera is a survey's now, and the plan of a sweep that shall begin."""
-        surveyor, exchange = self.surveyor, self.exchange
-        if surveyor is None or exchange is None or surveyor.done or seek.pointing.goal_us is None:
-            return False, None
-        if seek.measuring and not seek.surveys:  # of a target, from before it knew how it swims
-            return False, None
-        pose, rests = seek.pose, True
-        if self._swimmer is not None:
-            here = self._swimmer.here
-            if here is None or not self._swimmer.under_way:
-                return False, None
-            rests = math.hypot(here.x[3], here.x[4]) < STILL_M_S and abs(here.x[5]) < STILL_RAD_S
-        claims = tuple(view for _, view in exchange.claims(now_ns))
-        surveyor.choose(pose, claims, self._others(exchange, now_ns), now_ns)
-        surveyor.swim(pose, rests, now_ns)
+    def _judged(self, swept: Swept, found: Spoiled | bool, now_ns: int) -> None:
+        surveyor = self.surveyor
+        if isinstance(found, Spoiled):
+            surveyor.give_up(now_ns)
+            self._log.note("info", f"view {swept.peaks.sweep} was spoiled: {found.reason}", now_ns)
+        elif (made := surveyor.see(swept.peaks, swept.eye, swept.hulls_m, now_ns)) is None:
+            self._log.note("info", f"view {swept.peaks.sweep} gave no keyframe", now_ns)
+        else:
+            share = round(100 * surveyor.known.share())
+            self._log.note("info", f"keyframe {made.number}, {share} % of the tank is known", now_ns)
+
+    def propose(self, situation: Situation) -> Iterable[Proposal[Any]]:
+        orders = situation.orders
+        if orders.sweeps and isinstance(orders.behaviour, SurveyBehaviour | None):
+            yield Proposal("camera", "survey", self._act)
+
+    def _act(self, situation: Situation) -> CameraAct | None:
+        """Choose a view, go there, look at it and sweep; None: it has no use for the camera now."""
+        surveyor, now_ns, own, pose = self.surveyor, situation.now_ns, situation.own, situation.pose
+        if surveyor.done or situation.camera.goal_us is None:
+            return None
+        rests = True
+        if own is not None:
+            if own.best is None or not own.under_way:
+                return None
+            vx, vy, rate = own.best.velocity
+            rests = math.hypot(vx, vy) < STILL_M_S and abs(rate) < STILL_RAD_S
+        claims = tuple(view for _, view in self.exchange.claims(now_ns))
+        surveyor.choose(pose, claims, self._others(situation), now_ns)
+        surveyor.go(pose, rests, now_ns)
         if surveyor.done:
-            status.log.note("info", "the survey is over: all that was asked for is known", now_ns)
-            return False, None
-        if surveyor.phase != "look" or level is None:
-            return True, None
-        seek.look(*surveyor.gimbal_deg(pose), now_ns)
-        rests = rests and seek.pointing.steady(now_ns - STEADY_NS)
-        if rests and not self._light.lets(surveyor, seek, level, now_ns):
-            return True, None
+            self._log.note("info", "the survey is over: all that was asked for is known", now_ns)
+            return None
+        if surveyor.phase != "look" or situation.level is None:
+            return CameraAct()
+        aim_deg = surveyor.gimbal_deg(pose)
+        there = reachable(servos_us(self._camera, self._fleet.body, *aim_deg)) == situation.camera.goal_us
+        rests = rests and there and situation.camera.steady(now_ns - STEADY_NS)
+        if rests and not self._light.consent(surveyor, situation):
+            return CameraAct(aim_deg)
         plan = surveyor.sweep(rests, now_ns)
-        seek.surveys = plan is not None
         if plan is not None:
-            self._light.began(now_ns)
-        return True, plan
+            self._light.began(situation)
+        return CameraAct(aim_deg, plan=plan)
 
-    def goal(self) -> tuple[tuple[float, float], float] | None:
+    def outgoing(self, situation: Situation) -> Iterable[Outgoing]:
+        now_ns = situation.now_ns
+        self.exchange.end_step()
+        for claim in self.exchange.say(self.surveyor.view, self.surveyor.until_ns(now_ns), now_ns):
+            yield Outgoing(CLAIM, claim.dst, claim)
+        for keyframe in self.exchange.send(now_ns):
+            yield Outgoing(KEYFRAME, keyframe.dst, keyframe)
+
+    def _station(self) -> tuple[Planar, float] | None:
         """Where a robot that swims shall be, and how turned; None: where it is."""
-        station = None if self.surveyor is None else self.surveyor.station
+        station = self.surveyor.station
         return None if station is None else (station.place_m, station.yaw)
 
-    def say(self, now_ns: int) -> tuple[tuple[Claim, ...] | UnsetType, tuple[Keyframe, ...] | UnsetType]:
-        """What is told to neighbours in this step."""
-        if self.surveyor is None or self.exchange is None:
-            return UNSET, UNSET
-        self.exchange.end_step()
-        claims = self.exchange.say(self.surveyor.view, self.surveyor.until_ns(now_ns), now_ns)
-        return claims or UNSET, self.exchange.send(now_ns) or UNSET
-
-    def _others(self, exchange: Exchange, now_ns: int) -> tuple[tuple[float, float], ...]:
+    def _others(self, situation: Situation) -> tuple[Planar, ...]:
         """Places of robots that swim and claim no view."""
-        if self._swimmer is None:
-            return ()
-        claiming = {name for name, _ in exchange.claims(now_ns)}
-        return tuple(place[:2] for place in self._swimmer.company.neighbours.places(claiming))
+        claiming = {name for name, _ in self.exchange.claims(situation.now_ns)}
+        robots = (each for each in situation.neighbours or () if each.name not in claiming)
+        return tuple((each.pose.x_m, each.pose.y_m) for each in robots)
 
-    def _hulls(self) -> tuple[Vector, ...]:
+    def _hulls(self, situation: Situation) -> tuple[Vector, ...]:
         """Where other robots are, world frame: as they say, or where they are moored."""
-        surface_m = self._fleet.tank.surface_m
-        if self._swimmer is not None:
-            return tuple((x, y, surface_m - depth) for x, y, depth in self._swimmer.company.neighbours.places())
+        surface_m, said = self._fleet.tank.surface_m, situation.neighbours
+        if said is not None:
+            return tuple((each.pose.x_m, each.pose.y_m, surface_m - each.depth_m) for each in said)
         others = (robot for name, robot in self._fleet.robot.items() if name != self._name)
         return tuple((robot.pose.x_m, robot.pose.y_m, surface_m - robot.depth_m) for robot in others)
 
-    def _eye(self, t_ns: int, attitude: AttitudeLog, seek: Seek) -> Eye | None:
+    def _eye(self, t_ns: int, situation: Situation) -> Eye | None:
         """Where the camera was; None: it is not known well enough."""
-        level = attitude.at(t_ns)
+        level = self._attitude.at(t_ns)
         if level is None:
             return None
-        if self._swimmer is None:
-            return seek.eye(level)
-        known = self._swimmer.localizer.of_sample(t_ns, t_ns)
-        return None if known is None else seek.eye(level, pose_of(known[0]))
+        if not self._source.moves:
+            return eye_of(self._fleet, situation.camera, situation.pose, level)
+        known = self._source.at_sample(t_ns, t_ns)
+        return None if known is None else eye_of(self._fleet, situation.camera, known.pose, level)
+
+
+def surveyor_of(capabilities: Mapping[str, Capability]) -> Surveyor | None:
+    """Of one robot; None: its fleet makes no map."""
+    one = capabilities.get(Survey.name)
+    return one.surveyor if isinstance(one, Survey) else None

@@ -106,6 +106,10 @@ class Neighbours(Revertible):
             f"silent neighbour: {name} no longer says where it is, and is not approached; see to it" for name in silent
         )
 
+    def newest(self) -> tuple[Presence, ...]:
+        """The newest word of all that ever said where they are, in the order of their names."""
+        return tuple(letter.message for letter in self._heard())
+
     def _heard(self) -> tuple[Letter[Presence], ...]:
         return tuple(sender.newest for sender in self.letters.senders.values() if sender.newest is not None)
 

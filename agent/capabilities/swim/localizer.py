@@ -32,8 +32,9 @@ from agent.capabilities.swim.tag_fix import (
     whole,
 )
 from agent.core.attitude import Attitude
+from agent.core.capability import CameraView
 from agent.core.config import Body, Fleet
-from agent.core.control.pointing import APPROACH_NS, LAG_NS, PLAY_US, Pointing, ServoPath, Stand
+from agent.core.control.pointing import APPROACH_NS, LAG_NS, PLAY_US, ServoPath, Stand
 from agent.core.estimation.interface import Posterior, Prior
 from agent.core.linear_algebra import minus, plus, times
 from agent.core.messages import Vector, Whereabouts
@@ -137,18 +138,18 @@ class GimbalLog(Revertible):
         self._turns: deque[Turn] = deque(maxlen=TURNS)
         self._path, self._tracked = ServoPath(), False
 
-    def add(self, pointing: Pointing) -> None:
+    def add(self, camera: CameraView) -> None:
         """Take note of where it is told to turn now."""
-        if pointing.goal_us is None:
+        if camera.goal_us is None:
             return
-        if pointing.tracks:
+        if camera.tracks:
             if not self._tracked:
-                self._path.begin(self._turns[-1].goal_us if self._turns else pointing.goal_us)
-            self._path.add(pointing.told_ns, pointing.goal_us)
-        elif not self._turns or self._turns[-1].told_ns != pointing.told_ns:
-            turn = Turn(pointing.told_ns, pointing.last_leg_ns, pointing.goal_us)
+                self._path.begin(self._turns[-1].goal_us if self._turns else camera.goal_us)
+            self._path.add(camera.told_ns, camera.goal_us)
+        elif not self._turns or self._turns[-1].told_ns != camera.told_ns:
+            turn = Turn(camera.told_ns, camera.last_leg_ns, camera.goal_us)
             self._turns.append(turn)
-        self._tracked = pointing.tracks
+        self._tracked = camera.tracks
 
     def at(self, t_ns: int) -> Gimbal | None:
         """None: it was on its way, or that was too long ago."""

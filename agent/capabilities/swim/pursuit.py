@@ -15,14 +15,11 @@ from msgspec import UNSET, UnsetType
 
 from agent.capabilities.swim.swimmer import Swimmer, pose_of
 from agent.capabilities.swim.tag_fix import TURNING_DEG
-from agent.core.attitude import Attitude, AttitudeLog
-from agent.core.config import (
-    Body,
-    Fleet,
-)
+from agent.core.attitude import AttitudeLog
+from agent.core.capability import CameraAct, Situation, TargetView
+from agent.core.config import Body, Fleet
 from agent.core.control.pointing import SERVO_LAG_S
 from agent.core.control.search_pattern import rows_deg
-from agent.core.control.target_search import Seek
 from agent.core.estimation.interface import Bearing, Posterior
 from agent.core.estimation.protocols import dynamics, pursued
 from agent.core.estimation.track import Dynamics, growth
@@ -32,7 +29,7 @@ from agent.core.ranging.fix import NEAREST_M, Outline, sight_line
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Sighting
 from agent.core.step_transaction import Revertible
-from agent.core.target_state import TargetState, grown
+from agent.core.target_state import grown
 
 # --- gaze that tracks ---
 # It goes with the target: ahead of where the target was last known to be, and, where the target is not seen, to and
@@ -177,9 +174,11 @@ AHEAD_S = SERVO_LAG_S + 0.05
 class Pursuit(Revertible):
     """Of one robot, between steps; of one whose behaviour is about no target that swims it does nothing."""
 
-    def __init__(self, fleet: Fleet, name: str, calibration: Calibration, swimmer: Swimmer | None) -> None:
+    def __init__(
+        self, fleet: Fleet, name: str, calibration: Calibration, swimmer: Swimmer, attitude: AttitudeLog
+    ) -> None:
         robots = sorted(fleet.robot)
-        self._fleet, self._calibration, self._swimmer = fleet, calibration, swimmer
+        self._fleet, self._calibration, self._swimmer, self._attitude = fleet, calibration, swimmer, attitude
         self._swims = {target: dynamics(fleet.target[target]) for target in pursued(fleet)}
         share = robots.index(name) / len(robots)
         self._gaze, self._scan = Gaze(share), Scan(share)
@@ -187,28 +186,23 @@ class Pursuit(Revertible):
         self._lens: int | None = None  # where it is sharp; None: where landmarks are
         self._told: int | None = None  # the lens
 
-    @property
-    def target(self) -> str | None:
-        """The one that frames give bearings of."""
-        about = None if self._swimmer is None else self._swimmer.about
-        return about if about in self._swims else None
-
     def see(self, sightings: Sequence[Sighting]) -> None:
         for sighting in sightings:
-            if sighting.found and sighting.target == self.target:
+            if sighting.found and sighting.target == self._swimmer.pursues:
                 self._gaze.saw(sighting.t_ns)
                 self._newest = sighting
 
-    def sees(self, of: TargetState) -> bool:
-        """Whether a frame has shown that target since the last bearing."""
-        return self._newest is not None and self._newest.target == of.name
+    @property
+    def sighted(self) -> str | None:
+        """The target of the newest frame that has given no bearing yet."""
+        return None if self._newest is None else self._newest.target
 
-    def bearing(self, of: TargetState, attitude: AttitudeLog, now_ns: int) -> Bearing | None:
+    def bearing(self, of: TargetView, now_ns: int) -> Bearing | None:
         """What the newest frame says of that target, once; None: none showed it, or where from is not known."""
         seen, self._newest = self._newest, None
-        if seen is None or self._swimmer is None or of.name != seen.target or seen.centre_px is None:
+        if seen is None or of.name != seen.target or seen.centre_px is None:
             return None
-        level, gimbal = attitude.at(seen.t_ns), self._swimmer.gimbal.at(seen.t_ns)
+        level, gimbal = self._attitude.at(seen.t_ns), self._swimmer.gimbal.at(seen.t_ns)
         if level is None or gimbal is None:
             return None
         known = self._swimmer.localizer.of_sample(seen.t_ns, now_ns)
@@ -217,7 +211,7 @@ class Pursuit(Revertible):
         surface_m = self._fleet.tank.surface_m
         eye = camera_pose(pose_of(known[0]), self._fleet.body, *level, *gimbal.deg, surface_m)
         outline = Outline(seen.centre_px, seen.radius_px, seen.score, seen.focus, seen.size_px, seen.radius_sigma_px)
-        believed, swims = of.estimator.posterior, self._swims[of.name]
+        believed, swims = of.believed, self._swims[of.name]
         play_deg = 0.0 if gimbal.rests else TURNING_DEG
         # Of a pan that goes with the target it is in the yaw already, which the same camera has from landmarks.
         sigma_deg = math.hypot(0.0 if gimbal.tracks else play_deg, gimbal.lag_sigma_deg)
@@ -225,7 +219,7 @@ class Pursuit(Revertible):
             self._calibration.camera,
             eye,
             outline,
-            of.ball,
+            self._fleet.target[of.name],
             known[1]._replace(kappa=min(known[1].kappa, REMEMBERS)),
             math.radians(math.hypot(self._calibration.camera.noise_deg, sigma_deg)),
             None if believed is None else carried_on(believed, swims, seen.t_ns),
@@ -236,46 +230,45 @@ class Pursuit(Revertible):
             tilt_sigma_rad=math.radians(play_deg) if gimbal.tracks else 0.0,
         )
 
-    def goes_with(self, of: TargetState, seek: Seek) -> bool:
-        """Whether the camera goes without rest, with that target or in search of it. A robot that does not know how
-        it swims itself finds that out first."""
-        knows = of.estimator.posterior is not None or seek.roam is not None
-        swims = self._swimmer is not None and self._swimmer.under_way
-        return of.name == self.target and not seek.measuring and knows and swims
+    def goes_with(self, situation: Situation) -> bool:
+        """Whether the camera goes without rest, with the watched target or in search of it. A robot that does not know
+        how it swims itself finds that out first."""
+        knows = situation.target.believed is not None or self._swimmer.search is not None
+        of_it = situation.watched == self._swimmer.pursues
+        return of_it and not situation.camera.measuring and knows and self._swimmer.under_way
 
-    def look(self, of: TargetState, seek: Seek, level: Attitude | None, now_ns: int) -> bool:
-        """Point the camera at that target, or to and fro where it ought to be, or all around where no robot knows;
-        returns whether that is its turn."""
-        here, believed = None if self._swimmer is None else self._swimmer.here, of.estimator.posterior
-        if of.name != self.target or seek.measuring:
-            return False
-        if here is None or level is None or not self.goes_with(of, seek):
+    def look(self, situation: Situation) -> CameraAct | None:
+        """Point the camera at the watched target, or to and fro where it ought to be, or all around where no robot
+        knows; None: it is not its turn."""
+        now_ns, here, level = situation.now_ns, self._swimmer.here, situation.level
+        of, name = situation.target, situation.watched
+        if name != self._swimmer.pursues or situation.camera.measuring:
+            return None
+        if here is None or level is None or not self.goes_with(situation):
             self._lens = None
-            return False
-        if believed is None or seek.roam is not None:
-            camera, body, surface_m = self._calibration.camera, self._fleet.body, self._fleet.tank.surface_m
+            return None
+        body, surface_m = self._fleet.body, self._fleet.tank.surface_m
+        if of.believed is None or self._swimmer.search is not None:
+            self._lens = None
             rests = self._gaze.sees(now_ns)
-            way_deg = self._scan.way_deg(camera, body, level.depth_m, surface_m, rests, now_ns)
-            seek.track(of.name, *way_deg, now_ns)
-            self._lens = None
-            return True
+            way_deg = self._scan.way_deg(self._calibration.camera, body, level.depth_m, surface_m, rests, now_ns)
+            return CameraAct(way_deg, "track", name)
         x, y, psi = (at + AHEAD_S * v for at, v in zip(here.x[:3], here.x[3:6], strict=True))
         pose = pose_of(here._replace(x=(x, y, psi, *here.x[3:])))
-        at_m = carried_on(believed, self._swims[of.name], now_ns + round(AHEAD_S * 1e9))
-        lost = (known := of.estimate(now_ns)) is None or now_ns - known.seen_ns > ALL_LOST_NS
-        at_m = self._searched(at_m, grown(believed, self._swims[of.name], now_ns), (x, y, at_m[2]), lost, now_ns)
-        pan, tilt = look_at(at_m, pose, self._fleet.body, *level, self._fleet.tank.surface_m)
-        eye_m = camera_pose(pose, self._fleet.body, *level, pan, tilt, self._fleet.tank.surface_m).position_m
+        at_m = carried_on(of.believed, self._swims[name], now_ns + round(AHEAD_S * 1e9))
+        lost = of.estimate is None or now_ns - of.estimate.seen_ns > ALL_LOST_NS
+        at_m = self._searched(at_m, grown(of.believed, self._swims[name], now_ns), (x, y, at_m[2]), lost, now_ns)
+        pan, tilt = look_at(at_m, pose, body, *level, surface_m)
+        eye_m = camera_pose(pose, body, *level, pan, tilt, surface_m).position_m
         self._lens = round(lens_position(self._calibration.focus, max(math.dist(at_m, eye_m), NEAREST_M)))
-        seek.track(of.name, pan, tilt, now_ns)
-        return True
+        return CameraAct((pan, tilt), "track", name)
 
     def _searched(self, at_m: Vector, cov_m2: Symmetric, here_m: Vector, lost_by_all: bool, now_ns: int) -> Vector:
         """Of all places where it may be the one to look at now: the middle one while the robot sees it. Where all have
         lost it each takes its part of them. A robot that knows well where others see it, and does not see it itself,
         has something in between."""
         unseen_s = self._gaze.unseen_s(now_ns)
-        if not unseen_s or self._swimmer is None:
+        if not unseen_s:
             self._gaze.swing(0.0, now_ns)
             return at_m
         step_m, sigma_deg = across(at_m, cov_m2, here_m)
@@ -290,7 +283,7 @@ class Pursuit(Revertible):
 
     def lens(self) -> int | UnsetType | None:
         """Where the lens shall be between sweeps, when that has changed by enough."""
-        before, wanted = self._told, self._lens if self.target is not None else None
+        before, wanted = self._told, self._lens if self._swimmer.pursues is not None else None
         near = STEP * self._calibration.focus.width
         if wanted == before or (wanted is not None and before is not None and abs(wanted - before) < near):
             return UNSET

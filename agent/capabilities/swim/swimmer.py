@@ -36,7 +36,8 @@ from agent.capabilities.swim.localizer import (
 )
 from agent.capabilities.swim.pose_filter import Belief, Wrench
 from agent.capabilities.swim.search import Hunt, Surroundings, velocity_m_s
-from agent.core.attitude import Attitude, AttitudeLog
+from agent.core.attitude import AttitudeLog
+from agent.core.capability import BodyAct, CameraAct, CameraView, Situation, SwimPhase
 from agent.core.config import (
     Behaviour,
     Fleet,
@@ -47,8 +48,7 @@ from agent.core.config import (
     Search,
     Survey,
 )
-from agent.core.control.search_pattern import Roam, all_around, spiral
-from agent.core.control.target_search import Seek
+from agent.core.control.search_pattern import SearchPlan, all_around, spiral
 from agent.core.estimation.interface import Posterior
 from agent.core.estimation.protocols import dynamics, pursued
 from agent.core.linear_algebra import wrap
@@ -118,54 +118,52 @@ class Errand(Revertible):
         self._fleet, self._camera, self._swims = fleet, calibration.camera, pursued(fleet)
         self._speed_m_s = fleet.navigation.limits.speed_m_s
         self.around: Surroundings | None = None
-        self.station: tuple[Planar, float] | None = None  # where a survey looks from; the survey sets it
+        self.search: SearchPlan | None = None  # by which the camera looks, of a robot that searches
         self._screens: deque[Screen] = deque(maxlen=MOST_SCREENS)
         self.does: Behaviour | None = None  # what is in effect now: Follow may be searching, or waiting
 
     def heed(
-        self,
-        what: Behaviour,
-        progress: Progress | None,
-        target: TargetEstimate | None,
-        neighbours: Neighbours,
-        seek: Seek,
-        depth_m: float,
-        now_ns: int,
+        self, what: Behaviour, progress: Progress | None, neighbours: Neighbours, depth_m: float, situation: Situation
     ) -> None:
-        """Once a step, before the camera is told where to look; depth_m: where the robot hovers."""
+        """Once a step, before the camera is granted; depth_m: where the robot hovers."""
+        now_ns, size_m = situation.now_ns, self._fleet.tank.size_m[:2]
         self.does = what
         if isinstance(what, Survey):
-            self.around = Surroundings(self._fleet.tank.size_m[:2], self._speed_m_s, station=self.station)
+            self.around = Surroundings(size_m, self._speed_m_s, station=situation.station)
             return
         if not isinstance(what, Follow | Search):
-            self.around, seek.roam = None, None
+            self.around = self.search = None
             return
+        target = situation.about(what.target).estimate
         around = Surroundings(
-            self._fleet.tank.size_m[:2],
+            size_m,
             self._speed_m_s,
             target=target,
             swims=what.target in self._swims,
-            sees=seek.sees(what.target, now_ns),
+            sees=situation.camera.sees(what.target),
             robots_m=tuple(disc.at_m for disc in neighbours.discs(now_ns)),
             screens_m=tuple(screen.at_m for screen in self._screens_of(now_ns)),
         )
         does = self.does = effective(what, Hunt() if progress is None else progress.hunt, around, now_ns)
+        spirals = situation.camera.search is not None and situation.camera.search.spirals
         if not isinstance(does, Search):
-            seek.roam = None
-        elif seek.roam is None:
-            seek.roam = self._roam(does, target, seek.pose, depth_m, now_ns)
+            self.search = None
+        elif self.search is None:
+            self.search = self._plan(does, target, situation.pose, depth_m, now_ns)
+            spirals = bool(self.search.spiral)
         self.around = around._replace(
-            looks=seek.roam is not None and target is not None and seek.roam.spirals,
+            looks=self.search is not None and target is not None and spirals,
             fellows_m=neighbours.doing(kind(does), what.target, now_ns),
         )
 
-    def _roam(self, what: Search, target: TargetEstimate | None, pose: Pose, depth_m: float, now_ns: int) -> Roam:
+    def _plan(self, what: Search, target: TargetEstimate | None, pose: Pose, depth_m: float, now_ns: int) -> SearchPlan:
         surface_m = self._fleet.tank.surface_m
         around = all_around(self._camera, self._fleet.body, depth_m, surface_m)
         if target is None or what.target in self._swims:  # its gaze goes all around at once (pursuit.Scan)
-            return Roam(what.target, (), around)
+            return SearchPlan(what.target, (), around)
         speed_m_s = dynamics(self._fleet.target[what.target]).first_speed_m_s
-        return Roam(what.target, spiral(self._camera, _reach_deg(target, speed_m_s, pose, now_ns)), around)
+        reach_deg = _reach_deg(target, speed_m_s, pose, now_ns)
+        return SearchPlan(what.target, spiral(self._camera, reach_deg), around)
 
     def hidden(self, from_m: Planar, at_m: Planar, now_ns: int) -> None:
         """Nothing of the target at at_m is to be seen from there: something unknown is half way, or about."""
@@ -201,6 +199,47 @@ def _reach_deg(target: TargetEstimate, speed_m_s: float, pose: Pose, now_ns: int
     return math.degrees(math.atan2(2.0 * target.sigma_m + gone_m, distance_m))
 
 
+# --- phases of a robot that swims ---
+#
+#     lost       it does not know where it is
+#     afloat     it knows that, and stays there
+#     ready      it knows how it moves as well; its camera still turns
+#     under_way  it does what it is told
+#     halted     it was under way when the module stopped to obey, and may go on at once
+
+
+class Found(NamedTuple):
+    """What a step has found out of its own place."""
+
+    located: bool  # it knows where it is
+    foresees: bool  # and how it moves, for long enough, with its camera at rest
+    rests: bool  # its camera is where it is to be
+
+
+def after(phase: SwimPhase, what: Found) -> SwimPhase:
+    """Once a step, after estimation."""
+    if not what.located:
+        return "lost"
+    if phase in ("lost", "afloat", "halted") and not what.foresees:
+        return "afloat"
+    return "under_way" if what.rests or phase in ("under_way", "halted") else "ready"
+
+
+def disobeyed(phase: SwimPhase) -> SwimPhase:
+    """The module does not do what it is told: it is silent, disarmed or surfacing."""
+    match phase:
+        case "under_way":
+            return "halted"
+        case "ready":
+            return "afloat"
+    return phase
+
+
+def knows_its_way(phase: SwimPhase) -> bool:
+    """It knows how it moves."""
+    return phase in ("ready", "under_way")
+
+
 # --- swimmer ---
 
 SURFACE_AFTER_NS = 30_000_000_000  # of looking for landmarks in vain
@@ -219,9 +258,11 @@ ARRIVED_NS = 500_000_000  # gimbal and lens at rest: a few frames, which may sho
 class Swimmer(Revertible):
     """Between steps, of one robot of a fleet with `[navigation]`."""
 
-    def __init__(self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int) -> None:
+    def __init__(
+        self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int, attitude: AttitudeLog
+    ) -> None:
         assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
-        robot, self.company = fleet.robot[name], Company(fleet, name, incarnation)
+        robot, self.company, self._attitude = fleet.robot[name], Company(fleet, name, incarnation), attitude
         self._limits, self.task = fleet.navigation.limits, Task(robot)
         self._tank_m = fleet.tank.size_m[0], fleet.tank.size_m[1]
         self._swims = pursued(fleet)
@@ -236,9 +277,7 @@ class Swimmer(Revertible):
         self.gimbal = GimbalLog(calibration.camera, fleet.body)
         self._lost_since_ns: int | None = None
         self.here: Belief | None = None  # what it steers by
-        self._found = False  # it has known well enough how it moves, and was not lost since
-        self._off = False  # and its camera has come to rest since
-        self._holds = False  # it has seen landmarks, and was not lost since
+        self.phase: SwimPhase = "lost"
         self._still: Reference | None = None  # where it stays, whatever it is told to do
 
     def feel(self, told: Sequence[Telemetry]) -> None:
@@ -261,10 +300,6 @@ class Swimmer(Revertible):
     def limit_speed(self, most_m_s: float) -> None:
         self._limits = replace(self._limits, speed_m_s=most_m_s)
 
-    def survey(self, station: tuple[Planar, float] | None) -> None:
-        """Where a survey looks from next, and how the body is turned there, rad; None: where it is."""
-        self._errand.station = station
-
     @property
     def about(self) -> str | None:
         """The name of the target that its behaviour is about."""
@@ -275,26 +310,22 @@ class Swimmer(Revertible):
         """Its behaviour in effect, as the fleet file calls it."""
         return kind(self._errand.does or self.task.behaviour)
 
-    def keep_still(self, still: bool) -> None:
-        """Stay where it is, or go on with what it is told to do."""
-        here = self.here if still else None
-        self._still = here and (self._still or Reference(here.pose[:2], here.pose[2]))
-
-    def heed(self, target: TargetEstimate | None, seek: Seek, now_ns: int) -> None:
-        """What the fleet knows of that target; `seek` is told whether to look everywhere for it."""
-        neighbours = self.company.neighbours
-        self._errand.heed(self.task.behaviour, self.task.progress, target, neighbours, seek, self._depth_m, now_ns)
+    def heed(self, situation: Situation) -> SearchPlan | None:
+        """What its behaviour goes by in this step; returns how the camera looks for a target that it searches."""
+        task, neighbours = self.task, self.company.neighbours
+        self._errand.heed(task.behaviour, task.progress, neighbours, self._depth_m, situation)
+        return self._errand.search
 
     def see(
-        self, tags: Sequence[SeenTags], flows: Sequence[Flow], attitude: AttitudeLog, seek: Seek, now_ns: int
+        self, tags: Sequence[SeenTags], flows: Sequence[Flow], attitude: AttitudeLog, camera: CameraView, now_ns: int
     ) -> None:
         """Landmarks and flow of frames; those that were exposed while the gimbal turned say nothing."""
-        self.gimbal.add(seek.pointing)
-        if seek.measuring:
+        self.gimbal.add(camera)
+        if camera.measuring:
             self._swept_ns = now_ns
         lens = {frame.t_ns: frame.focus for frame in tags}
         for frame in tags:
-            if self._glancing and frame.t_ns >= seek.pointing.nearly_from_ns:
+            if self._glancing and frame.t_ns >= camera.nearly_from_ns:
                 self._glance.add_frame(bool(frame.tags))
             carriage = self._carriage_at(frame.t_ns, attitude)
             if carriage is not None:
@@ -306,25 +337,19 @@ class Swimmer(Revertible):
                 self.localizer.follow(flow, then, now, lens.get(flow.t_ns), others_m)
         self.localizer.advance(now_ns)
         here = self.localizer.at(now_ns)
-        if here is not None and within(here, LOST_M, LOST_DEG):
-            self._lost_since_ns = None
-        elif self._lost_since_ns is None:
-            self._lost_since_ns = now_ns
-        if here is None or self.lost:
-            self._found = False
-        elif foresees(here, SWIFTLY_S if self.about in self._swims else AWAY_S) and seek.pointing.steady(now_ns):
-            self._found = True
-        goes = seek.roam is not None or self.about in self._swims  # a gaze that never rests
-        ready = (goes or seek.pointing.steady(now_ns - KEY_NS)) and not self._glancing
-        self._off = self._found and (self._off or ready)
-        self._holds = not self.lost and (self._holds or now_ns - self.localizer.fixed_ns < ARRIVED_NS)
+        located = here is not None and within(here, LOST_M, LOST_DEG)
+        ahead_s = SWIFTLY_S if self.pursues is not None else AWAY_S
+        knows = here is not None and foresees(here, ahead_s) and camera.steady(now_ns)
+        goes = camera.search is not None or self.pursues is not None  # a gaze that never rests
+        rests = (goes or camera.steady(now_ns - KEY_NS)) and not self._glancing
+        self.phase = after(self.phase, Found(located, knows, rests))
+        self._lost_since_ns = None if located else self._lost_since_ns or now_ns
 
-    def steer(self, seek: Seek, others: Posterior | None, now_ns: int) -> None:
-        """Point and swim by the better of two poses from now on: that of its own sensors, or the one aided by a target.
+    def steer(self, others: Posterior | None, now_ns: int) -> Pose | None:
+        """Where to point and swim from: the better of two poses, that of its own sensors or the one aided by a target.
         What it says, intends and doubts goes by the own one. others: where the target is by all but this robot."""
         self.here = self.localizer.best(others, now_ns)
-        if self.here is not None:
-            seek.pose = pose_of(self.here)
+        return None if self.here is None else pose_of(self.here)
 
     def _carriage_at(self, t_ns: int, attitude: AttitudeLog) -> Carriage | None:
         """Level and gimbal at that time; None: one of them is not known."""
@@ -334,7 +359,17 @@ class Swimmer(Revertible):
     @property
     def under_way(self) -> bool:
         """It does what it is told: it knows where it is and how it moves, and its camera is where it is to be."""
-        return self._found and self._off
+        return self.phase == "under_way"
+
+    @property
+    def pursues(self) -> str | None:
+        """The target of its behaviour, where that swims."""
+        return self.about if self.about in self._swims else None
+
+    @property
+    def search(self) -> SearchPlan | None:
+        """How its camera looks for a target that it searches."""
+        return self._errand.search
 
     @property
     def glances(self) -> bool:
@@ -354,64 +389,87 @@ class Swimmer(Revertible):
     @property
     def lost(self) -> bool:
         """It does not know where it is."""
-        return self._lost_since_ns is not None
+        return self.phase == "lost"
 
-    def glance(self, seek: Seek, level: Attitude | None, pursues: bool, now_ns: int) -> bool:
-        """Turn the camera to landmarks where that is due; returns whether it is taken from the target. Not while a
-        sweep is under way; after it the lens is sharp again first, and may show enough where it is. pursues: else the
-        camera goes with a target that swims."""
-        here, steady = self.localizer.at(now_ns), seek.pointing.steady(now_ns)
-        swift = self._found and pursues  # what swims does not wait, and landmarks pass behind it
+    def glance(self, pursues: bool, situation: Situation) -> CameraAct | None:
+        """Turn the camera to landmarks where that is due; None: it is not. Not while a sweep is under way; after it the
+        lens is sharp again first, and may show enough where it is. pursues: else the camera goes with a target that
+        swims."""
+        now_ns, camera, level = situation.now_ns, situation.camera, situation.level
+        here, steady, knows_way = self.localizer.at(now_ns), camera.steady(now_ns), knows_its_way(self.phase)
+        swift = knows_way and pursues  # what swims does not wait, and landmarks pass behind it
         brief = self._glancing and swift
         enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
         if swift:
             share = BRIEF if brief else PURSUES
             enough = share * UNSURE_M, share * UNSURE_DEG
-        moves = self._found and (not self._glancing or brief or (here is not None and foresees(here)))
+        moves = knows_way and (not self._glancing or brief or (here is not None and foresees(here)))
         sure = here is not None and within(here, *enough) and moves
         # A robot that searches watches nothing, and one that does not know how it swims cannot search.
-        searches = seek.roam is not None and not self._found
+        searches = self._errand.search is not None and not knows_way
         waits = self.company.waits(here, self._glancing, now_ns) and not searches
         blind = now_ns - max(self.localizer.fixed_ns, self._swept_ns) > ARRIVED_NS
         dire = blind and here is not None and direly_unsure(here)
         if level is None or sure or waits or not (steady or dire or self._glancing or searches):
             self._glancing = False
-            return False
+            return None
         if not self._glancing:
-            if not dire and now_ns <= max(seek.pointing.steady_from_ns, self._swept_ns) + ARRIVED_NS:
-                return True
+            if not dire and now_ns <= max(camera.steady_from_ns, self._swept_ns) + ARRIVED_NS:
+                return CameraAct()
             self._glancing = True
             self._glance.reset()
         by = self.here or here
-        pose, known = (None, NOTHING) if by is None or adrift(by) else (seek.pose, Sure(*sigmas(by)))
-        from_deg = seek.gimbal_deg() if swift else None
-        pan, tilt = self._glance.direction_deg(pose, known, level, steady, now_ns, from_deg)
-        seek.look(pan, tilt, now_ns, swift)
-        return True
+        pose, known = (None, NOTHING) if by is None or adrift(by) else (situation.pose, Sure(*sigmas(by)))
+        from_deg = camera.gimbal_deg if swift else None
+        aim_deg = self._glance.direction_deg(pose, known, level, steady, now_ns, from_deg)
+        return CameraAct(aim_deg, "track" if swift else "rest")
 
-    def calm(self, now_ns: int) -> bool:
-        """Whether a sweep may begin: it takes seconds, some of them too blurred for tags, in which a robot on its way
-        would get lost."""
-        here = self.localizer.at(now_ns)
-        return here is not None and math.hypot(here.x[3], here.x[4]) < CALM_M_S
+    # --- body, row by row of the table of priorities ---
 
-    def thrust(self, allowed: bool, target_m: Vector | None, now_ns: int) -> Wrench:
-        """Force ahead and to the left, N, and yaw moment, N m. target_m: where the watched target is believed to be."""
-        here, watched_m = self.localizer.at(now_ns), None if target_m is None else (target_m[0], target_m[1])
-        self._found = self._found and allowed  # one that lies still has to know its motion anew to begin
-        by, since_ns = self.here or here, self._lost_since_ns
-        if here is None or by is None or not allowed or adrift(here):
-            asked = STILL
-        elif self.under_way and self._still is None:
-            asked = self._towards(here, by, watched_m, now_ns)
-        elif self._holds or self.under_way:
-            asked = self._stays(by, self._still or Reference(by.pose[:2], by.pose[2]), now_ns)
-        elif since_ns is not None and now_ns - since_ns < BRAKES_NS:
-            asked = wrench(by, self.localizer.hull, Reference(by.pose[:2], by.pose[2]), AT_REST)
-        else:  # what it leans against may be drag that it believed wrong, and gone with its speed
-            asked = STILL
+    def off(self, situation: Situation) -> BodyAct | None:
+        """No thrust where the module does not obey, or it is not known where the robot is."""
+        here, allowed = self.localizer.at(situation.now_ns), self._attitude.obeys(situation.now_ns)
+        if not allowed:
+            self.phase = disobeyed(self.phase)  # one that lies still has to know its motion anew to begin
+        if not situation.light.still or self.here is None:
+            self._still = None
+        elif self._still is None:
+            self._still = Reference(self.here.pose[:2], self.here.pose[2])
+        lies = here is None or not allowed or adrift(here)
+        return self._asked(STILL, situation.now_ns) if lies else None
+
+    def behave(self, situation: Situation) -> BodyAct | None:
+        """Do what it is told; not while light is lent: that stays where it is."""
+        here, watched_m = self.localizer.at(situation.now_ns), situation.target.believed_m
+        if here is None or not self.under_way or self._still is not None:
+            return None
+        target_m = None if watched_m is None else (watched_m[0], watched_m[1])
+        now_ns = situation.now_ns
+        return self._asked(self._towards(here, self.here or here, target_m, now_ns), now_ns)
+
+    def stay(self, situation: Situation) -> BodyAct | None:
+        """Stay where it is, but out of the way of others."""
+        by = self.here or self.localizer.at(situation.now_ns)
+        if by is None or self.lost:
+            return None
+        to = self._still or Reference(by.pose[:2], by.pose[2])
+        return self._asked(self._stays(by, to, situation.now_ns), situation.now_ns)
+
+    def brake(self, situation: Situation) -> BodyAct | None:
+        """Come to rest, as soon as it is lost."""
+        by, since_ns, now_ns = self.here or self.localizer.at(situation.now_ns), self._lost_since_ns, situation.now_ns
+        if by is None or since_ns is None or now_ns - since_ns >= BRAKES_NS:
+            return None
+        return self._asked(wrench(by, self.localizer.hull, Reference(by.pose[:2], by.pose[2]), AT_REST), now_ns)
+
+    def drift(self, situation: Situation) -> BodyAct:
+        """No thrust: what it leans against may be drag that it believed wrong, and gone with its speed."""
+        return self._asked(STILL, situation.now_ns)
+
+    def _asked(self, asked: Wrench, now_ns: int) -> BodyAct:
         self.localizer.sent(asked, now_ns)
-        return asked
+        ahead_n, left_n, moment_nm = asked
+        return BodyAct((ahead_n, left_n), moment_nm, self.depth_m(now_ns))
 
     def _stays(self, by: Belief, to: Reference, now_ns: int) -> Wrench:
         """There, but out of the way of others: a robot that drifts is pulled into them."""
@@ -447,6 +505,12 @@ class Swimmer(Revertible):
         """Where it hovers: at its depth, or at the surface when it has been lost for too long."""
         lost = self._lost_since_ns is not None and now_ns - self._lost_since_ns > SURFACE_AFTER_NS
         return SURFACE_M if lost else self._depth_m
+
+
+def calm(here: Belief | None) -> bool:
+    """Whether a sweep may begin: it takes seconds, some of them too blurred for tags, in which a robot on its way would
+    get lost."""
+    return here is not None and math.hypot(here.x[3], here.x[4]) < CALM_M_S
 
 
 def pose_of(belief: Belief) -> Pose:

@@ -7,6 +7,7 @@ Neighbouring looks overlap, so that a target on the seam is whole in one of them
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from agent.core.config import Body
 from agent.core.ranging.camera_model import CameraFit
@@ -22,11 +23,18 @@ PITCH = 0.8  # of the spiral, in views: from one turn to the next, and from look
 WIDEST_DEG = 90.0  # of the spiral
 
 
+class SearchPlan(NamedTuple):
+    """The looks of one search."""
+
+    target: str
+    spiral: Ways  # offsets from where the target was last
+    around: Ways  # by the gimbal's own angles
+
+
 class Roam(Revertible):
-    """The looks of one search, one after the other. `Seek` (target_search.py) moves it on."""
+    """How far the looks of one search have come. `Seek` (target_search.py) moves it on."""
 
     def __init__(self, target: str, spiral: Ways, around: Ways) -> None:
-        """spiral: offsets from where the target was last; around: by the gimbal's own angles."""
         self.target = target
         self._spiral, self._around = spiral, around
         self._step, self._empty = -1, FRAMES

@@ -20,6 +20,7 @@ from agent.capabilities.swim.behaviour import wanted_velocity, wrench
 from agent.capabilities.swim.event_ring import Event, EventRing, asked, fix, rate
 from agent.capabilities.swim.localizer import LOST_DEG, LOST_M, within
 from agent.capabilities.swim.pose_filter import RATE_RAD_S, Belief, Drift, Hull, begin
+from agent.capabilities.swim.swim import swimmer_of
 from agent.core.config import Goto, Look, Pose
 from agent.core.estimation.evidence_table import Table
 from agent.core.estimation.fuse import fuse
@@ -57,7 +58,7 @@ def ball(seed: int, seconds: float = SECONDS) -> Row:
         for _ in range(round(seconds * 20.0)):
             swimmers.step()
             notes.take()
-        own = [swimmers.agents[name].current.estimator.posterior for name in names]
+        own = [swimmers.agents[name].measuring.current.estimator.posterior for name in names]
     joint = joint_filter_of(notes.measured, fleet, list(swimmers.calibrations.values()))
     at, covariance = joint.target
     errors = [np.array(known.x_m) - BALL_M for known in own if known is not None]
@@ -112,7 +113,8 @@ def crossing(seed: int, robots: int = CROSSING_ROBOTS, seconds: float = CROSSING
     bodies.armed = False
     for _ in range(round(FIND_S * 20.0)):
         swimmers.step()
-        if all(agent.swimmer is not None and not agent.swimmer.lost for agent in swimmers.agents.values()):
+        own = (swimmer_of(agent.capabilities) for agent in swimmers.agents.values())
+        if all(swimmer is not None and not swimmer.lost for swimmer in own):
             break
     bodies.armed = True
     least = math.inf

@@ -219,7 +219,7 @@ def search(seed: int, robots: int = SEARCH_ROBOTS, search_s: float = SEARCH_S) -
         path.append(here)
         apart = np.linalg.norm(here[:, None] - here[None], axis=2)[np.triu_indices(robots, 1)]
         least_m = min([least_m, *apart.tolist()])
-        knows = [agent.current.estimator.posterior is not None for agent in swimmers.agents.values()]
+        knows = [agent.measuring.current.estimator.posterior is not None for agent in swimmers.agents.values()]
         if found_ns is None and any(knows):
             found_ns = bodies.now_ns
         if found_ns is not None and bodies.now_ns - found_ns >= 5e9:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from agent.capabilities.swim.pose_filter import Wrench
 from agent.capabilities.swim.projection import BENT_PX, EDGE_AT, EDGE_PX, OFFSET_PX, STRETCH
+from agent.capabilities.swim.swim import swimmer_of
 from agent.core.attitude import Attitude
 from agent.core.codec import encode
 from agent.core.config import Fleet
@@ -452,7 +453,7 @@ class Swimmers:
 
     def swims(self, name: str) -> bool:
         """Whether it is armed, and does what it is told."""
-        swimmer = self.agents[name].swimmer
+        swimmer = swimmer_of(self.agents[name].capabilities)
         return swimmer is not None and swimmer.under_way
 
     def place(self, name: str) -> tuple[float, float, float]:

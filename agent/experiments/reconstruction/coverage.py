@@ -19,7 +19,7 @@ from msgspec import UNSET
 from numpy.typing import NDArray
 
 from agent.capabilities.survey.coverage_map import FARTHEST_M, NEAREST_M, STEEPEST, CoverageMap, grid_of
-from agent.capabilities.survey.survey import NOISIER, block_px
+from agent.capabilities.survey.survey import NOISIER, Surveyor, block_px, surveyor_of
 from agent.core.capability_messages import Claim, Keyframe
 from agent.core.codec import encode
 from agent.core.config import Coverage, Fleet, Pose, Robot, Survey, Tank, Target
@@ -212,13 +212,13 @@ class World:
         made = []
         for name, agent in self.agents.items():
             heard, self._post[name] = tuple(self._post[name]), []
-            before = agent.survey.surveyor.keyframes if agent.survey.surveyor else 0
+            surveyor = surveyor_of(agent.capabilities)
+            before = surveyor.keyframes if surveyor else 0
             peaks = self._ended(name)
             blocks = UNSET if peaks is None else (peaks,)
             inputs = Inputs(telemetry=(self._telemetry(name),), heard=heard, blocks=blocks)
             outputs = agent.step(inputs, self.now_ns)
             self.record(name, self.now_ns, encode(inputs), encode(outputs))
-            surveyor = agent.survey.surveyor
             if surveyor is not None and surveyor.keyframes > before:
                 self.all.add(surveyor.known.held[name, SURVEY_START_NS, surveyor.keyframes].frame)
                 made.append(surveyor.keyframes)
@@ -228,15 +228,18 @@ class World:
         return made
 
     def equal(self) -> bool:
-        maps = {agent.survey.surveyor.known.as_bytes() for agent in self.agents.values() if agent.survey.surveyor}
-        keys = {tuple(sorted(a.survey.surveyor.known.held)) for a in self.agents.values() if a.survey.surveyor}
+        maps = {surveyor.known.as_bytes() for surveyor in self._surveyors()}
+        keys = {tuple(sorted(surveyor.known.held)) for surveyor in self._surveyors()}
         return len(maps) == len(keys) == 1
 
     def stop(self) -> None:
         """No more views are chosen; what was seen is still told."""
-        for agent in self.agents.values():
-            if agent.survey.surveyor is not None:
-                agent.survey.surveyor.phase = "done"
+        for surveyor in self._surveyors():
+            surveyor.phase = "done"
+
+    def _surveyors(self) -> list[Surveyor]:
+        own = (surveyor_of(agent.capabilities) for agent in self.agents.values())
+        return [each for each in own if each is not None]
 
     def _carry(self, name: str, outputs: Outputs) -> None:
         if not self.shares:
@@ -465,7 +468,7 @@ def swum(seed: int, seconds: float = SECONDS, every_s: float = EVERY_S) -> Row:
     for step in range(1, round(seconds * STEPS_S) + 1):
         world.step()
         for name, agent in world.agents.items():
-            own = agent.survey.surveyor
+            own = surveyor_of(agent.capabilities)
             if own is not None and own.keyframes > made[name]:
                 made[name] = own.keyframes
                 known.add(own.known.held[name, START_NS, own.keyframes].frame)

@@ -23,11 +23,11 @@ from agent.clock import machine
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Level, LogLine, State
 from agent.core.topics import LOG, STATE
+from agent.core.verbs import URGENT
 from agent.ground.bridges.outward import ALT_HOLD, SURFACING, Newest, Vehicle, own_word, vehicle
 from agent.ground.console import OrderConsole, Outcome
 from agent.process.certificates import credentials
 from agent.process.transport import LOOKER, Observer, fleet_clock
-from agent.robot.verbs import URGENT
 
 # --- a vehicle as messages ---
 # A vehicle as messages of MAVLink. Pure; what is not known is marked as such, or left out. Source: common.xml.

@@ -20,11 +20,11 @@ from agent.core.codec import Refusal
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import State
 from agent.core.topics import ANSWER, CLAIM, IMAGE, LINK, LOG, NEAR, STATE
+from agent.core.verbs import CLOCK, URGENT
 from agent.ground.console import OrderConsole
 from agent.ground.page.rows import LINES, SELDOM_NS, Board, Rows, text
 from agent.process.command import free_name
 from agent.process.transport import Observer, Received
-from agent.robot.verbs import CLOCK, URGENT
 
 # --- recording from the page ---
 # Recording a fleet from the page's own process: on and off, into new files.

@@ -30,6 +30,7 @@ from agent.clock.clock import Clock
 from agent.core.codec import prepare
 from agent.core.config import ConfigError, Fleet, Target
 from agent.core.ranging.camera_model import load_calibration
+from agent.core.verbs import VERBS
 from agent.ground.console import NEAR_V, SURFACES_V, OrderConsole
 from agent.ground.page.live import SHOWN, Give, Live, Recording, give
 from agent.ground.page.replayed import Reel, Replayed
@@ -37,7 +38,6 @@ from agent.ground.page.rows import Board, Viewer, text
 from agent.process.certificates import credentials
 from agent.process.transport import LOOKER, Observer, fleet_clock
 from agent.robot.fleet_reader import load_fleet
-from agent.robot.verbs import VERBS
 from replay.recorder import record
 from replay.report.page import LOOKS, PALETTE
 

@@ -156,7 +156,7 @@ def night(
         name: diver.ended._replace(
             error_mm=off_mm(diver, truth_m),
             nis=mean_nis(diver.history),
-            epochs=diver.agent.current.estimator.epoch.counter,
+            epochs=diver.agent.measuring.current.estimator.epoch.counter,
         )
         for name, diver in divers.items()
     }
@@ -200,7 +200,7 @@ def letters(src: str, outputs: Outputs, now_ns: int) -> list[tuple[Heard, str]]:
 
 
 def off_mm(diver: Diver, truth_m: np.ndarray) -> float | None:
-    believed_m = diver.agent.current.believed_m
+    believed_m = diver.agent.measuring.current.believed_m
     return None if believed_m is None else 1000.0 * float(np.linalg.norm(np.array(believed_m) - truth_m))
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
+from agent.capabilities.swim.swim import swimmer_of
 from agent.core.config import Goto, Pose, Trial
 from agent.core.ranging.camera_model import BodyFit
 from agent.tools import body_calibration
@@ -29,7 +30,7 @@ def swum(seed: int, gyro: bool = False) -> tuple[body_calibration.Trial, dict[st
     with tempfile.TemporaryDirectory() as folder, drawn(of, Path(folder)) as one:
         for _ in range(round(20 * MOST_S)):
             one.step()
-            progress = one.agent.swimmer.task.progress
+            progress = swimmer_of(one.agent.capabilities).task.progress
             if progress is not None:
                 given.append(planar_n(one))
                 asked.append(one.believed.force)
@@ -69,7 +70,7 @@ def gone(seed: int, body: BodyFit | None) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder, drawn(swimming(seed, TO, FROM), Path(folder), body) as one:
         for _ in range(400):  # until it knows where it is; it swims from then on
             one.step()
-            if one.agent.swimmer.task.progress is not None:
+            if swimmer_of(one.agent.capabilities).task.progress is not None:
                 break
         path = one.run(14.0)
     along, off = path[:, 0] - TO.x_m, np.hypot(path[:, 0] - TO.x_m, path[:, 1] - TO.y_m)

@@ -17,6 +17,7 @@ from msgspec import UNSET
 from msgspec.structs import replace
 
 from agent.capabilities.swim.event_ring import Event
+from agent.capabilities.swim.swim import swimmer_of
 from agent.core.config import Behaviour, Fleet, Navigation, Pose, Twin
 from agent.core.linear_algebra import wrap
 from agent.core.ranging.camera_model import BodyFit
@@ -77,7 +78,7 @@ class DrawnSwimmer:
         self._set_point = outputs.set_point
         if outputs.state is not None:
             self.faults |= set(outputs.state.faults)
-        self.events.update(dict.fromkeys(self.agent.swimmer.localizer.events))
+        self.events.update(dict.fromkeys(swimmer_of(self.agent.capabilities).localizer.events))
         if self._port >= 0:
             os.write(self._port, self.protocol.set_point(self._set_point, self.dive.now_ns))
 
@@ -96,7 +97,7 @@ class DrawnSwimmer:
 
     @property
     def believed(self):
-        return self.agent.swimmer.localizer.at(self.dive.now_ns)
+        return swimmer_of(self.agent.capabilities).localizer.at(self.dive.now_ns)
 
     def off(self, pose: Pose) -> tuple[float, float]:
         """How far the body is from there, m and degrees."""

@@ -13,6 +13,7 @@ import numpy as np
 from msgspec import UNSET
 from msgspec.structs import replace
 
+from agent.capabilities.swim.swim import swimmer_of
 from agent.core.codec import encode
 from agent.core.config import Behaviour, Look
 from agent.core.step_io import Inputs
@@ -195,7 +196,7 @@ def _step(
 
 
 def _row(agent: Agent, dive: Dive) -> list[float]:
-    state, here = dive.states[0], agent.swimmer.localizer.at(dive.now_ns)
+    state, here = dive.states[0], swimmer_of(agent.capabilities).localizer.at(dive.now_ns)
     believed, sigma_m = [np.nan] * 3, np.nan
     if here is not None:
         believed, sigma_m = list(here.pose), np.sqrt(here.covariance[0] + here.covariance[3])

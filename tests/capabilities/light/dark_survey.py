@@ -73,7 +73,7 @@ class DarkSurvey(Swimmers):
                     whose.add(name)
             self.spoiled += [line.text for line in outputs.log if "spoiled" in line.text]
         for name, agent in self.agents.items():
-            own = agent.survey.surveyor
+            own = agent.capabilities["survey"].surveyor
             if own is not None and own.keyframes > self._made[name]:
                 self._made[name] = own.keyframes
                 lamps, whose = self._sweeps[name]

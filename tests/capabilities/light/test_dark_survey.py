@@ -28,12 +28,12 @@ def test_no_light_changed_in_a_sweep_that_counted(dive: DarkSurvey) -> None:
 
 
 def test_all_end_with_one_map(dive: DarkSurvey) -> None:
-    digests = {agent.survey.surveyor.known.digest() for agent in dive.agents.values()}
+    digests = {agent.capabilities["survey"].surveyor.known.digest() for agent in dive.agents.values()}
     for _ in range(100):
         if len(digests) == 1:
             break
         dive.step()
-        digests = {agent.survey.surveyor.known.digest() for agent in dive.agents.values()}
+        digests = {agent.capabilities["survey"].surveyor.known.digest() for agent in dive.agents.values()}
     assert len(digests) == 1
 
 
@@ -41,7 +41,7 @@ def test_one_sweeps_at_a_time_and_all_hold_still_meanwhile() -> None:
     world, before, moved = DarkSurvey(2), {}, []
     for _ in range(300):
         world.step()
-        phases = [agent.survey.surveyor.phase for agent in world.agents.values()]
+        phases = [agent.capabilities["survey"].surveyor.phase for agent in world.agents.values()]
         assert phases.count("sweep") <= 1
         here = {name: np.array(world.place(name)[:2]) for name in world.agents}
         if "sweep" in phases:
@@ -56,17 +56,17 @@ def test_a_lamp_that_goes_out_spoils_the_sweep_and_nothing_comes_of_it() -> None
     world = DarkSurvey(3)
     for _ in range(600):
         world.step()
-        sweeping = [n for n, agent in world.agents.items() if agent.survey.surveyor.phase == "sweep"]
+        sweeping = [n for n, agent in world.agents.items() if agent.capabilities["survey"].surveyor.phase == "sweep"]
         if sweeping and any(world.light[n][0] for n in world.agents):
             break
     (name,) = sweeping
     burning = next(n for n, light in world.light.items() if light[0])
-    made = world.agents[name].survey.surveyor.keyframes
-    own = world.agents[burning].lights.own
+    made = world.agents[name].capabilities["survey"].surveyor.keyframes
+    own = world.agents[burning].capabilities["light"].own
     own.lamp = own.lamp._replace(warm=2.0)  # too hot: dark at once
     world.run(6.0)
     assert [line for line in world.spoiled if "changed" in line]
-    assert world.agents[name].survey.surveyor.keyframes == made or world.kept[-1].robot != name
+    assert world.agents[name].capabilities["survey"].surveyor.keyframes == made or world.kept[-1].robot != name
 
 
 def test_where_nobody_lends_each_sweeps_by_its_own_lamp_alone() -> None:

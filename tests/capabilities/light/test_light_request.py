@@ -15,21 +15,23 @@ from agent.capabilities.light.light_request import (
     SHOWS,
     SHOWS_SIDE,
     LightSearch,
+    glimpsed_m,
 )
 from agent.core.attitude import Attitude
+from agent.core.capability import LightView, Situation
 from agent.core.capability_messages import Lease
 from agent.core.config import Target
 from agent.core.control.pointing import SEARCH_DEG
-from agent.core.control.search_pattern import Roam
-from agent.core.control.target_search import Seek
+from agent.core.control.search_pattern import SearchPlan
 from agent.core.step_io import Sighting
+from agent.robot.target_search import Seek
 from tests.capabilities.light.lit_swarm import STEP_NS, LitScript, LitSwarm, lit_fleet
+from tests.core.control.situations import situation
 from tests.network.scripted_agent import CALIBRATION
 
 FLEET = lit_fleet(3)
 R1 = FLEET.robot["r1"]
 LEVEL = Attitude(R1.depth_m, 0.0, 0.0)
-REACH_DEG = 89.0  # of pan: beyond, it is at its stop
 
 
 FAR = Choice(("r2",), 12.0, 8.0, 20.0, True, 0.4, 0.05)
@@ -40,19 +42,23 @@ def seek() -> Seek:
     return Seek(FLEET, R1, CALIBRATION)
 
 
+def at(here: Seek, now_ns: int) -> Situation:
+    return situation(here, now_ns, level=LEVEL)
+
+
 def test_places_are_ahead_and_beside_that_then_farther_out_and_none_outside_the_tank() -> None:
     fleet = replace(FLEET, tank=replace(FLEET.tank, size_m=(1.7, 1.7, 1.0)))
-    search, here = LightSearch(fleet, "r1"), seek()
+    search, here = LightSearch(fleet, "r1", CALIBRATION.camera), seek()
     found = []
     for _ in range(len(RANGES_M) * len(SEARCH_DEG)):
-        found.append(search.place(here, LEVEL))
+        found.append(search.place(R1.pose, LEVEL))
         search.advance()
-    assert search.place(here, LEVEL) == found[0]  # and from the beginning again
+    assert search.place(R1.pose, LEVEL) == found[0]  # and from the beginning again
     at_all = [at for at in found if at is not None]
     assert len(at_all) > len(SEARCH_DEG)
     walls_m = (1.7, 1.7, fleet.tank.surface_m)
     assert all(-1e-9 < at < most_m + 1e-9 for place in at_all for at, most_m in zip(place, walls_m, strict=True))
-    far_m = [at and math.dist(at, here.eye(LEVEL).position_m) for at in found]
+    far_m = [at and math.dist(at, here.eye(LEVEL, R1.pose).position_m) for at in found]
     assert far_m[0] == pytest.approx(RANGES_M[0], abs=1e-6)
     assert all(far is None or far <= RANGES_M[k // len(SEARCH_DEG)] + 1e-6 for k, far in enumerate(far_m))
 
@@ -68,39 +74,39 @@ def test_places_are_ahead_and_beside_that_then_farther_out_and_none_outside_the_
     ],
 )
 def test_a_place_counts_that_others_lamps_show_and_the_own_does_not(choice: Choice | None, counts: bool) -> None:
-    assert LightSearch(FLEET, "r1").worth(choice, FLEET.target["ball"]) is counts
+    assert LightSearch(FLEET, "r1", CALIBRATION.camera).worth(choice, FLEET.target["ball"]) is counts
 
 
 def test_what_was_glimpsed_by_anothers_light_is_the_next_place_once() -> None:
-    search, here = LightSearch(FLEET, "r1"), seek()
-    first, now_ns = search.place(here, LEVEL), sees_ball(here)
+    search, here = LightSearch(FLEET, "r1", CALIBRATION.camera), seek()
+    first, now_ns = search.place(R1.pose, LEVEL), sees_ball(here)
     lease = Lease(1, 0, 5.0, True, (0.6, 0.5, 0.1), (("r2", 1.0),))
     party = Party("r1", 1, bound=Bound("r2", 1, lease, now_ns + 10**9))
-    assert search.follows(party, here, "ball", LEVEL, now_ns) == lease.at_m
-    assert search.follows(party, here, "ball", LEVEL, now_ns + 10**9) == lease.at_m  # it is out of view again
-    assert search.place(here, LEVEL) == here.glimpsed_m("ball", LEVEL, None, now_ns) != first
+    assert search.follows(party, at(here, now_ns)) == lease.at_m
+    assert search.follows(party, at(here, now_ns + 10**9)) == lease.at_m  # it is out of view again
+    assert search.place(R1.pose, LEVEL) == glimpsed_m(FLEET, CALIBRATION.camera, None, at(here, now_ns)) != first
     search.advance()
-    assert search.place(here, LEVEL) == first
-    assert search.follows(Party("r1", 1), here, "ball", LEVEL, now_ns) is None
+    assert search.place(R1.pose, LEVEL) == first
+    assert search.follows(Party("r1", 1), at(here, now_ns)) is None
 
 
 def test_a_ball_in_view_is_as_far_away_as_it_looks() -> None:
     here = seek()
     now_ns = sees_ball(here)
-    at_m = here.glimpsed_m("ball", LEVEL, None, now_ns)
+    at_m = glimpsed_m(FLEET, CALIBRATION.camera, None, at(here, now_ns))
     far_m = 0.07 * CALIBRATION.camera.f_px / 70.0
-    assert at_m is not None and math.dist(at_m, here.eye(LEVEL).position_m) == pytest.approx(far_m, rel=0.02)
-    assert here.glimpsed_m("ball", LEVEL, None, now_ns + 10**9) is None
+    assert at_m is not None and math.dist(at_m, here.eye(LEVEL, R1.pose).position_m) == pytest.approx(far_m, rel=0.02)
+    assert glimpsed_m(FLEET, CALIBRATION.camera, None, at(here, now_ns + 10**9)) is None
 
 
 def sees_ball(here: Seek) -> int:
     """Now, ns: a ball of 70 px is in the middle of the picture."""
-    here.act(0, "ball", LEVEL, None, False)
+    here.act(at(here, 0), False)
     now_ns = here.pointing.steady_from_ns + STEP_NS
     seen = Sighting(
         t_ns=now_ns, frame=1, sweep=0, index=-1, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=70.0
     )
-    here.add_sighting(seen)
+    here.add_sighting(seen, LightView())
     return now_ns
 
 
@@ -151,7 +157,7 @@ def test_robots_have_places_lit_in_turn_each_for_as_long_as_a_look_takes() -> No
             swarm.run(0.05)
             for name, robot in swarm.robots.items():
                 assert robot.agent is not None
-                party = robot.agent.lights._talk.party
+                party = robot.agent.capabilities["light"]._talk.party
                 if party.phase == "holds" and looks and looks[-1][:2] == (name, party.number):
                     looks[-1] = (name, party.number, looks[-1][2] + 1)
                 elif party.phase == "holds":
@@ -167,16 +173,15 @@ def test_where_nobody_lends_it_is_not_found() -> None:
 
 
 def test_a_creature_has_to_show_by_more_light_than_a_ball() -> None:
-    fish, search = Target(detector="creature", length_m=0.15), LightSearch(FLEET, "r1")
+    fish, search = Target(detector="creature", length_m=0.15), LightSearch(FLEET, "r1", CALIBRATION.camera)
     faint = Choice(("r2",), 12.0, 8.0, 20.0, True, 0.5 * (SHOWS + SHOWS_SIDE), 0.05)
     assert search.worth(faint, FLEET.target["ball"]) and not search.worth(faint, fish)
     assert search.worth(faint._replace(contrast=1.1 * SHOWS_SIDE), fish)
 
 
 def test_a_robot_with_a_search_pattern_of_its_own_asks_for_no_light() -> None:
-    search, here = LightSearch(FLEET, "r1"), seek()
-    here.act(0, "ball", LEVEL, None, False)
-    search.look(here, 0)
-    assert search.look(here, 10**10)
-    here.roam = Roam("ball", (), ((0.0, 0.0),))
-    assert not search.look(here, 10**10)
+    search, here = LightSearch(FLEET, "r1", CALIBRATION.camera), seek()
+    here.act(at(here, 0), False)
+    search.look(at(here, 0))
+    assert search.look(at(here, 10**10))
+    assert not search.look(at(here, 10**10)._replace(search=SearchPlan("ball", (), ((0.0, 0.0),))))

@@ -4,7 +4,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.capabilities.light.allocate import LampControl, cannot, command, warmed
-from agent.capabilities.light.target_light import whole
+from agent.capabilities.light.model import whole
 from agent.core.config import Fleet
 from agent.core.ranging.camera_model import Eye
 from agent.core.ranging.fix import Outline

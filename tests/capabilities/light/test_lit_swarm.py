@@ -31,7 +31,7 @@ def test_robots_sweep_in_turn_by_each_others_light(calm: LitSwarm) -> None:
 def test_all_see_the_ball_and_say_whose_light_it_was(calm: LitSwarm) -> None:
     for name, robot in calm.robots.items():
         assert robot.agent is not None
-        state = robot.agent.current.last_state
+        state = robot.agent.measuring.current.last_state
         assert state is not None and state.acquired_t is not None and state.lamp
         assert state.lamp.holder in (None, *calm.robots)
         assert state.robot == name
@@ -76,7 +76,7 @@ def test_a_fleet_without_lighting_says_nothing_of_light() -> None:
     swarm.run(2.0)
     for robot in swarm.robots.values():
         assert robot.agent is not None and robot.outputs is not None
-        state = robot.agent.current.last_state
+        state = robot.agent.measuring.current.last_state
         assert isinstance(state, State) and b"lamp" not in encode(state)
         assert b"light\x00" not in encode(robot.outputs)
         assert not robot.outputs.light and robot.light == (0.0, (1500, 1500))

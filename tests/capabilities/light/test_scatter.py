@@ -2,7 +2,7 @@
 
 import pytest
 
-from agent.capabilities.light.target_light import SCATTERS, WANDERS_PX
+from agent.capabilities.light.model import SCATTERS, WANDERS_PX
 from agent.core.control.sweep import Measurement
 from agent.core.ranging.camera_model import Eye, camera_pose
 from agent.core.ranging.fix import CENTRE_NOISE_PX, Outline
@@ -22,9 +22,9 @@ def eye() -> Eye:
 @pytest.mark.parametrize(("burned", "aside"), [((), False), (("r1",), False), (("r2",), True), (("r1", "r2"), True)])
 def test_by_anothers_lamp_a_peak_scatters_and_an_outline_wanders(burned, aside) -> None:
     fleet = lit_fleet()
-    lights = Agent(fleet, "r1", CALIBRATION, 1).lights
+    lights = Agent(fleet, "r1", CALIBRATION, 1).light
     lights._turn.burned = burned
-    outline, sigma, cues = lights.seen(PEAK, eye(), fleet.target["ball"], "both")
+    outline, sigma, cues = lights.corrected(PEAK, eye(), fleet.target["ball"], "both")
     assert sigma == PEAK.sigma * (SCATTERS if aside else 1.0)
     assert outline.centre_sigma_px == (WANDERS_PX if aside else CENTRE_NOISE_PX)
     assert cues == ("focus" if aside else "both")
@@ -32,5 +32,5 @@ def test_by_anothers_lamp_a_peak_scatters_and_an_outline_wanders(burned, aside) 
 
 def test_by_day_nothing_of_it_is_known() -> None:
     fleet = lit_fleet(lighting=None)
-    lights = Agent(fleet, "r1", CALIBRATION, 1).lights
-    assert lights.seen(PEAK, eye(), fleet.target["ball"], "both") == (PEAK.outline, PEAK.sigma, "both")
+    lights = Agent(fleet, "r1", CALIBRATION, 1).light
+    assert lights.corrected(PEAK, eye(), fleet.target["ball"], "both") == (PEAK.outline, PEAK.sigma, "both")

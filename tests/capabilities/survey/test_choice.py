@@ -132,16 +132,16 @@ def test_it_gives_up_what_it_cannot_reach_and_what_never_comes_to_rest(surveyor)
     choose(surveyor)
     before = surveyor.station
     far = Pose(x_m=before.place_m[0] + 0.5, y_m=before.place_m[1], yaw_deg=0.0)
-    surveyor.swim(far, True, 10 * 10**9)
+    surveyor.go(far, True, 10 * 10**9)
     assert surveyor.phase == "go"
-    surveyor.swim(far, True, 40 * 10**9)
+    surveyor.go(far, True, 40 * 10**9)
     assert surveyor.phase == "choose" and surveyor.view is None
     for k in range(40):
         surveyor.choose(Pose(x_m=0.5, y_m=0.5, yaw_deg=0.0), (), (), 41 * 10**9 + k)
     assert surveyor.phase == "go" and surveyor.station != before
     there = surveyor.station
     pose = Pose(x_m=there.place_m[0], y_m=there.place_m[1], yaw_deg=math.degrees(there.yaw) + 3.0)
-    surveyor.swim(pose, True, 42 * 10**9)
+    surveyor.go(pose, True, 42 * 10**9)
     assert surveyor.phase == "look"
     assert surveyor.gimbal_deg(pose)[0] == pytest.approx(there.pan_deg - 3.0)
     assert surveyor.sweep(False, 43 * 10**9) is None

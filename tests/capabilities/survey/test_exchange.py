@@ -160,7 +160,7 @@ def test_a_robot_that_hears_anything_at_all_goes_on_surveying():
         world._post["r1"] += heard
         world.step()
     assert agent.net.fault(world.now_ns) is None
-    assert agent.survey.surveyor.keyframes >= 1 and sum(agent.inbox.refused.values()) > 10
+    assert agent.capabilities["survey"].surveyor.keyframes >= 1 and sum(agent.inbox.refused.values()) > 10
 
 
 def test_a_fleet_without_the_table_says_none_of_it_and_believes_none():
@@ -187,6 +187,6 @@ def test_three_robots_with_thirty_percent_loss_have_the_same_map():
     for _ in range(160):
         world.step()
     assert world.equal() and len(world.all.held) >= 3
-    known = [agent.survey.surveyor.known for agent in world.agents.values()]
+    known = [agent.capabilities["survey"].surveyor.known for agent in world.agents.values()]
     assert {each.as_bytes() for each in known} == {world.all.as_bytes()}
     assert [len(holdings(each)) for each in known] == [3, 3, 3]

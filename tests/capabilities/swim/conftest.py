@@ -15,5 +15,5 @@ def swum():
     one, told = InTank(fleet(), ASTRAY, seed=3), []
     for _ in range(16 * 20):
         outputs = one.step()
-        told.append((one.now_ns, one.inputs, outputs, one.off(*THERE), not one.agent.swimmer.lost))
+        told.append((one.now_ns, one.inputs, outputs, one.off(*THERE), not one.swimmer.lost))
     return one, told

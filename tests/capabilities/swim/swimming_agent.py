@@ -5,6 +5,7 @@ from collections import deque
 import numpy as np
 from msgspec import UNSET
 
+from agent.capabilities.swim.swim import swimmer_of
 from agent.core.config import Body, Fleet, Navigation, Pose, Robot, Tank, Target
 from agent.core.linear_algebra import wrap
 from agent.core.ranging.camera_model import Calibration, CameraFit, gimbal_deg
@@ -79,6 +80,10 @@ class InTank:
         self.coming: deque[tuple[int, SeenTags, Flow]] = deque()
         self.rate_rad_s = lambda body: UNSET  # what its gyro says
         self.inputs, self.outputs, self.state = Inputs(), None, None
+
+    @property
+    def swimmer(self):
+        return swimmer_of(self.agent.capabilities)
 
     def expose(self) -> tuple[SeenTags, Flow]:
         """What the camera sees now."""

@@ -89,4 +89,4 @@ class FleetInTank:
 
     def goto(self, name: str, place) -> None:
         one = self.robots[name]
-        one.agent.swimmer.task.begin(Goto(x_m=float(place[0]), y_m=float(place[1])))
+        one.swimmer.task.begin(Goto(x_m=float(place[0]), y_m=float(place[1])))

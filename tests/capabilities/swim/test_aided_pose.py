@@ -11,6 +11,7 @@ from agent.capabilities.swim import pose_filter
 from agent.capabilities.swim.aided_pose import Aid, Seen, aided, offset_m
 from agent.capabilities.swim.event_ring import EventRing, asked, fix, flow, rate
 from agent.capabilities.swim.pose_filter import Drift, Hull, add_sighting, begin, keep_key
+from agent.capabilities.swim.swim import swimmer_of
 from agent.core.codec import encode
 from agent.core.config import Pose
 from agent.core.estimation.interface import Posterior
@@ -174,22 +175,24 @@ def test_nothing_that_is_said_has_anything_of_it() -> None:
     did, apart = [], []
     for _ in range(14 * 20):
         swimmers.step()
-        own = one.swimmer.localizer.at(swimmers.now_ns)
-        did.append((swimmers.now_ns, swimmers.inputs["r1"], swimmers.outputs["r1"], one.seek.pose))
-        apart.append(0.0 if own is None else math.dist(own.pose[:2], one.swimmer.here.pose[:2]))
+        swimmer = swimmer_of(one.capabilities)
+        own = swimmer.localizer.at(swimmers.now_ns)
+        did.append((swimmers.now_ns, swimmers.inputs["r1"], swimmers.outputs["r1"], one._situation.pose))
+        apart.append(0.0 if own is None else math.dist(own.pose[:2], swimmer.here.pose[:2]))
     assert sum(off > 0.003 for off in apart) > 20
     again = Agent(fleet, "r1", swimmers.calibrations["r1"], START_NS)
     decided = {now_ns: (outputs.set_point, pose) for now_ns, _, outputs, pose in did}
-    sent = again.swimmer.localizer.sent
+    swimmer = swimmer_of(again.capabilities)
+    sent = swimmer.localizer.sent
 
-    def steer(seek, others, now_ns):
-        seek.pose = decided[now_ns][1]
+    def steer(others, now_ns):
+        return decided[now_ns][1]
 
     def send(wrench, now_ns):
         to = decided[now_ns][0]
         sent((*to.force_n, to.yaw_moment_nm), now_ns)
 
-    again.swimmer.steer, again.swimmer.localizer.sent = steer, send
+    swimmer.steer, swimmer.localizer.sent = steer, send
     differed = 0
     for now_ns, inputs, outputs, _ in did:
         told = again.step(inputs, now_ns)

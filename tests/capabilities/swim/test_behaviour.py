@@ -10,6 +10,7 @@ from msgspec.structs import replace
 from agent.capabilities.swim.barrier import WALL_M
 from agent.capabilities.swim.behaviour import COAST_NS, LEGS, Spin, Stage, place_around, reference, start, trial
 from agent.capabilities.swim.search import ANYWHERE_M, GIMBAL_RAD, SEEN_NS, SPEED_NS, Surroundings, known
+from agent.capabilities.swim.swim import swimmer_of
 from agent.core.config import Follow, Look, Navigation, Pose, Search, Trial
 from agent.core.linear_algebra import wrap
 from agent.core.target_state import TargetEstimate
@@ -169,7 +170,7 @@ def test_three_of_them_surround_a_target_that_wanders() -> None:
         apart.append(min(math.dist(arms[i], arms[j]) for i, j in ((0, 1), (0, 2), (1, 2))))
     assert np.sqrt(np.mean(np.square(off))) < 0.12 and np.abs(off).max() < 0.3
     assert min(apart) > 0.34 and math.degrees(np.median(gaps)) > 50.0
-    shown = [agent.swimmer.does for agent in swimmers.agents.values()]
+    shown = [swimmer_of(agent.capabilities).does for agent in swimmers.agents.values()]
     assert shown == ["follow"] * 3
 
 
@@ -229,8 +230,8 @@ def test_it_stays_near_its_line() -> None:
 
 def test_while_it_coasts_nothing_thrusts() -> None:
     robot = InTank(fleet(behaviour=Trial(x_m=1.5, y_m=1.0)), (1.0, 1.0, 0.0), seed=4)
-    assert robot.until(lambda: robot.agent.swimmer.task.progress is not None, 5.0)
-    assert robot.until(lambda: robot.agent.swimmer.task.progress.stage.coasts, 15.0)
+    assert robot.until(lambda: robot.swimmer.task.progress is not None, 5.0)
+    assert robot.until(lambda: robot.swimmer.task.progress.stage.coasts, 15.0)
     robot.step()
     assert robot.wrench == (0.0, 0.0, 0.0) and robot.body.speed[0] > 0.1
 
@@ -248,6 +249,6 @@ def test_a_trial_has_room_and_no_hurry() -> None:
 def test_a_robot_that_was_calibrated_believes_its_own_mass() -> None:
     of = replace(fleet(), navigation=Navigation())
     own = InTank(of)
-    assert own.agent.swimmer.localizer.hull.mass_kg == 6.0
+    assert own.swimmer.localizer.hull.mass_kg == 6.0
     own.agent.__init__(of, "r1", replace(CALIBRATION, body=LIGHT), 7)
-    assert own.agent.swimmer.localizer.hull[:6] == (4.0, 3.0, 30.0, 0.07, 0.04, 0.15)
+    assert own.swimmer.localizer.hull[:6] == (4.0, 3.0, 30.0, 0.07, 0.04, 0.15)

@@ -7,6 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.capabilities.swim.deconfliction import LONGEST_NS, SILENT_NS, Neighbours
+from agent.capabilities.swim.swim import swimmer_of
 from agent.core.codec import Refusal, encode
 from agent.core.messages import Presence
 from agent.core.status import Status
@@ -107,12 +108,15 @@ def test_a_step_takes_it_from_the_key_of_its_sender_alone() -> None:
     agent = Agent(FLEET, "r01", CALIBRATION, incarnation=7)
     item = Heard(arrived_ns=2 * S, src="r02", payload=encode(presence()), topic="near")
     assert taken(agent.inbox, replace(item, src="r03")) == {"address": 1}
-    assert taken(agent.inbox, item) == {"address": 1} and len(agent.swimmer.company.neighbours.discs(3 * S)) == 1
+    assert (
+        taken(agent.inbox, item) == {"address": 1}
+        and len(swimmer_of(agent.capabilities).company.neighbours.discs(3 * S)) == 1
+    )
     assert taken(agent.inbox, replace(item, payload=b"\xc1"))["garbage"] == 1
     nan = encode(presence(seq=2)).replace(encode_float(0.2), encode_float(float("nan")))
     assert taken(agent.inbox, replace(item, payload=nan))["content"] == 1
     assert taken(agent.inbox, replace(item, payload=item.payload + bytes(NEAR.limit)))["size"] == 1
-    assert len(agent.swimmer.company.neighbours.discs(3 * S)) == 1
+    assert len(swimmer_of(agent.capabilities).company.neighbours.discs(3 * S)) == 1
 
 
 def encode_float(value: float) -> bytes:
@@ -175,12 +179,12 @@ def test_without_a_word_they_would_have_met() -> None:
 def test_one_of_a_fleet_looks_for_landmarks_at_a_time() -> None:
     """r02 said that it does; r01 waits for as long as it can afford to."""
     one = FleetInTank(fleet_of(POSES[:2]), seed=4).robots["r01"]
-    assert one.until(lambda: not one.agent.swimmer.lost and not one.agent.swimmer._glancing, 6.0)
+    assert one.until(lambda: not one.swimmer.lost and not one.swimmer._glancing, 6.0)
     one.sees_tags, unsure = False, []
     for seq in range(1, 4 * 20):
         said = presence(seq=seq, sent_ns=one.now_ns, glance_until_ns=one.now_ns + S // 2)
         one.step(heard=[Heard(arrived_ns=one.now_ns, src="r02", payload=encode(said), topic="near")])
-        here = one.agent.swimmer.localizer.at(one.now_ns)
-        unsure.append(((here.covariance[0] + here.covariance[3]) ** 0.5, one.agent.swimmer._glancing))
+        here = one.swimmer.localizer.at(one.now_ns)
+        unsure.append(((here.covariance[0] + here.covariance[3]) ** 0.5, one.swimmer._glancing))
     waited = [sigma_m for sigma_m, glances in unsure if not glances]
     assert max(waited) > 0.032 and unsure[-1][1]

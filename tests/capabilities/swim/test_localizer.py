@@ -189,13 +189,13 @@ def test_its_bias_is_learnt_and_a_blind_turn_is_followed() -> None:
     rng, bias = np.random.default_rng(2), 0.008
     robot = rates_of(InTank(with_gyro(), seed=3), lambda body: float(body.speed[2] + bias + rng.normal(0.0, 0.001)))
     robot.run(8.0)
-    belief = robot.agent.swimmer.localizer.at(robot.now_ns)
+    belief = robot.swimmer.localizer.at(robot.now_ns)
     assert belief.x[BIAS] == pytest.approx(bias, abs=4 * math.sqrt(belief.P[BIAS][BIAS]))
     assert belief.P[BIAS][BIAS] < 0.004**2
     robot.sees_tags = False
     robot.body.speed[2] += 0.5  # something hits it
     robot.run(1.0)
-    turned = robot.agent.swimmer.localizer.at(robot.now_ns)
+    turned = robot.swimmer.localizer.at(robot.now_ns)
     assert math.degrees(abs(turned.x[2] - robot.body.at[2])) < 1.5
     assert not [fault for fault in robot.state.faults if "gyro" in fault]
 

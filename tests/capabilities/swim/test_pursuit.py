@@ -90,7 +90,7 @@ def test_two_robots_find_a_target_by_their_frames_and_go_with_it() -> None:
         at_m = np.array(fish.at(bodies.now_ns))
         for name, agent in swimmers.agents.items():
             found += [sighting.found for sighting in swimmers.inputs[name].sightings]
-            believed = agent.current.estimator.posterior
+            believed = agent.measuring.current.estimator.posterior
             errors.append(np.array(believed.x_m) - fish.at(believed.t_ns))
             x, y, yaw = swimmers.place(name)
             x, y = x + 0.1 * math.cos(yaw), y + 0.1 * math.sin(yaw)  # of the gimbal

@@ -9,6 +9,7 @@ import pytest
 from agent.capabilities.swim.barrier import WALL_M
 from agent.capabilities.swim.behaviour import reference, start
 from agent.capabilities.swim.search import SEEN_NS, Surroundings, cell, lanes
+from agent.capabilities.swim.swim import swimmer_of
 from agent.core.config import Look, Pose, Search
 from agent.core.target_state import TargetEstimate
 from agent.experiments.navigation import basin
@@ -145,10 +146,10 @@ def test_it_finds_a_ball_behind_it_measures_it_and_holds() -> None:
     agent = one.agents["r1"]
     for _ in range(45 * 20):
         one.step()
-        if agent.current.estimator.posterior is not None:
+        if agent.measuring.current.estimator.posterior is not None:
             break
-    believed = agent.current.estimator.posterior
+    believed = agent.measuring.current.estimator.posterior
     assert believed is not None and math.dist(believed.x_m, (0.5, 1.1, 0.07)) < 0.05
     for _ in range(2 * 20):
         one.step()
-    assert agent.swimmer.does == "hold" and agent.seek.roam is None
+    assert swimmer_of(agent.capabilities).does == "hold" and agent.seek.view(0).search is None

@@ -7,7 +7,7 @@ from msgspec.structs import replace
 from agent.capabilities.swim.deconfliction import pace
 from agent.capabilities.swim.event_ring import RING_NS
 from agent.capabilities.swim.localizer import LOST_M, UNSURE_DEG, UNSURE_M, within
-from agent.capabilities.swim.swimmer import ARRIVED_NS, BRAKES_NS
+from agent.capabilities.swim.swimmer import ARRIVED_NS, BRAKES_NS, calm
 from agent.core.codec import encode
 from agent.core.config import Goto, Limits, Look, Navigation, Orbit, Turn
 from agent.core.step_io import Heard
@@ -55,7 +55,7 @@ def test_without_landmarks_it_only_looks_around() -> None:
     one.run(17.0, 5 * STEP_NS)
     assert one.outputs.set_point.depth_m == SURFACE_M  # nothing will be seen from here
     one.sees_tags = True
-    assert one.until(lambda: not one.agent.swimmer.lost, 8.0)
+    assert one.until(lambda: not one.swimmer.lost, 8.0)
     assert one.outputs.set_point.depth_m == DEPTH_M
 
 
@@ -67,7 +67,7 @@ def test_no_force_while_the_module_may_not_turn_motors(how) -> None:
         one.step()
         if how != "silent":
             assert one.wrench == AT_REST
-    assert not one.agent.swimmer.lost  # looking and knowing go on
+    assert not one.swimmer.lost  # looking and knowing go on
     if how != "silent":
         one.armed, one.ladder = True, 0
         one.step()
@@ -89,7 +89,7 @@ def test_it_brakes_though_it_is_lost_and_tells_the_others_where_it_may_be() -> N
     one = FleetInTank(fleet_of([(0.7, 1.0, 0.0), (0.6, 0.4, 0.0)], behaviour=goto), seed=4).robots["r01"]
     assert one.until(lambda: one.body.speed[0] > 0.2, 8.0)
     one.sees_tags = False
-    assert one.until(lambda: one.agent.swimmer.lost, 4.0)
+    assert one.until(lambda: one.swimmer.lost, 4.0)
     at_m, said = one.body.at[:2].copy(), []
     assert np.hypot(*one.body.speed[:2]) < 0.05
     for _ in range(3 * 20):
@@ -103,14 +103,14 @@ def test_it_brakes_though_it_is_lost_and_tells_the_others_where_it_may_be() -> N
 def test_it_gives_way_while_its_camera_turns_back_from_landmarks() -> None:
     """It does not go on yet, but lets nobody drift into it."""
     one = FleetInTank(fleet_of([(1.0, 1.0, 0.0), (1.0, 0.6, 0.0)]), seed=4).robots["r01"]
-    assert one.until(lambda: one.agent.swimmer._holds and not one.agent.swimmer._off, 8.0)
-    assert not one.agent.swimmer._found
+    assert one.until(lambda: one.swimmer.phase in ("afloat", "ready"), 8.0)
+    assert one.swimmer.phase == "afloat"
     word = presence(fleet="swim", src="r02", dst="r01", t_ns=one.now_ns, sent_ns=one.now_ns, x_m=1.0, y_m=0.7)
     letter = Heard(arrived_ns=one.now_ns, src="r02", payload=encode(word), topic="near")
     one.step(heard=[letter])
     _, left_n, _ = one.wrench
     assert left_n > 0.3
-    assert one.agent.swimmer.task.progress is None
+    assert one.swimmer.task.progress is None
 
 
 def test_it_stands_still_while_it_looks_for_landmarks() -> None:
@@ -119,18 +119,18 @@ def test_it_stands_still_while_it_looks_for_landmarks() -> None:
     one = InTank(replace(fleet(behaviour=Turn(yaw_deg=170.0)), navigation=slow))
     assert one.until(lambda: abs(one.body.speed[2]) > 0.25, 6.0)
     one.sees_tags = False
-    assert one.until(lambda: one.agent.swimmer._glancing, 4.0)
+    assert one.until(lambda: one.swimmer._glancing, 4.0)
     one.run(0.6)
     assert abs(one.body.speed[2]) < 0.1 and one.off(0.0, 0.0, 170.0)[1] > 10.0
-    assert 0.0 < pace(one.agent.swimmer.localizer.at(one.now_ns)) < 1.0 or one.agent.swimmer.lost
+    assert 0.0 < pace(one.swimmer.localizer.at(one.now_ns)) < 1.0 or one.swimmer.lost
 
 
 def test_lost_it_brakes_looks_around_surfaces_and_goes_on_when_it_is_found() -> None:
     one = InTank(fleet(), seed=5)
-    assert one.until(lambda: not one.agent.swimmer.lost, 3.0)
+    assert one.until(lambda: not one.swimmer.lost, 3.0)
     one.run(1.0)
     one.sees_tags = False
-    assert one.until(lambda: one.agent.swimmer.lost, 6.0)
+    assert one.until(lambda: one.swimmer.lost, 6.0)
     since_ns, ways = one.now_ns, set()
     while one.outputs.set_point.depth_m == DEPTH_M:
         one.step(8 * STEP_NS)  # a busy computer; what it does does not hang on how often
@@ -144,10 +144,10 @@ def test_lost_it_brakes_looks_around_surfaces_and_goes_on_when_it_is_found() -> 
     assert len(ways) > 6
     one.body.at += (0.30, -0.15, np.radians(150.0))  # somebody gave it a push
     one.sees_tags = True
-    assert one.until(lambda: not one.agent.swimmer.lost, 8.0)
+    assert one.until(lambda: not one.swimmer.lost, 8.0)
     assert one.outputs.set_point.depth_m == DEPTH_M
     assert one.until(lambda: one.wrench != AT_REST, 3.0)
-    here = one.agent.swimmer.localizer.at(one.now_ns)
+    here = one.swimmer.localizer.at(one.now_ns)
     assert np.hypot(*np.subtract(here.pose[:2], one.body.at[:2])) < 0.03
     assert one.until(lambda: one.off(*THERE) < (0.03, 180.0) and one.off(*THERE)[1] < 2.0, 10.0)
 
@@ -155,10 +155,10 @@ def test_lost_it_brakes_looks_around_surfaces_and_goes_on_when_it_is_found() -> 
 def test_of_times_long_past_it_does_not_count_up_to_now_again_and_again() -> None:
     """Nothing happens any more: what is asked for is a second away, and no more."""
     one = InTank(fleet())
-    assert one.until(lambda: not one.agent.swimmer.lost, 3.0)
+    assert one.until(lambda: not one.swimmer.lost, 3.0)
     one.sees_tags = False
-    assert one.until(lambda: one.agent.swimmer.lost, 6.0)
-    ring = one.agent.swimmer.localizer._ring
+    assert one.until(lambda: one.swimmer.lost, 6.0)
+    ring = one.swimmer.localizer._ring
     for _ in range(15):
         one.step(8 * STEP_NS)
         assert one.now_ns - ring.newest.t_ns <= 2 * RING_NS
@@ -170,19 +170,19 @@ def test_a_floor_that_is_followed_keeps_it_from_being_lost() -> None:
     for floor in (True, False):
         one = InTank(fleet(look=Look(tilt_deg=-40.0)))
         one.sees_floor = floor
-        assert one.until(lambda one=one: not one.agent.swimmer.lost, 4.0)
+        assert one.until(lambda one=one: not one.swimmer.lost, 4.0)
         one.run(1.0)
         one.sees_tags = False
         one.run(5.0)
-        lost.append(one.agent.swimmer.lost)
+        lost.append(one.swimmer.lost)
     assert lost == [False, True]
 
 
 def test_after_a_sweep_it_waits_for_sharp_frames_before_it_glances() -> None:
     one = InTank(fleet(look=Look(pan_deg=20.0)))
-    assert one.until(lambda: not one.agent.swimmer.lost, 4.0)
+    assert one.until(lambda: not one.swimmer.lost, 4.0)
     one.run(2.0)
-    one.sees_tags, swimmer, at_us = False, one.agent.swimmer, one.agent.seek.pointing.goal_us
+    one.sees_tags, swimmer, at_us = False, one.swimmer, one.agent.seek.pointing.goal_us
     for _ in range(60):
         swimmer._swept_ns = one.now_ns  # as if one sweep followed the other
         one.step()
@@ -197,13 +197,14 @@ def test_after_a_sweep_it_waits_for_sharp_frames_before_it_glances() -> None:
 
 def test_no_sweep_begins_while_it_swims_fast() -> None:
     one = InTank(fleet(), ASTRAY)
-    assert not one.agent.swimmer.calm(one.now_ns)  # it does not even know where it is
-    assert one.until(lambda: not one.agent.swimmer.lost, 4.0)
-    calm, fast = [], []
+    assert not calm(one.swimmer.localizer.at(one.now_ns))  # it does not even know where it is
+    assert one.until(lambda: not one.swimmer.lost, 4.0)
+    slowly, fast = [], []
     for _ in range(120):
         one.step()
-        (fast if np.hypot(*one.body.speed[:2]) > 0.2 else calm).append(one.agent.swimmer.calm(one.now_ns))
-    assert fast and not any(fast) and calm[-1]
+        rows = fast if np.hypot(*one.body.speed[:2]) > 0.2 else slowly
+        rows.append(calm(one.swimmer.localizer.at(one.now_ns)))
+    assert fast and not any(fast) and slowly[-1]
 
 
 # --- what the file says ------------------------------------------------------------------------------------------
@@ -226,7 +227,7 @@ def test_turn_is_turned_on_the_spot() -> None:
 def test_orbit_goes_round_and_faces_the_middle() -> None:
     middle = np.array([1.3, 0.9])
     one = InTank(fleet(pose=replace(POSE, yaw_deg=0.0), behaviour=Orbit(x_m=1.3, y_m=0.9, radius_m=0.3)))
-    assert one.until(lambda: one.agent.swimmer.task.progress is not None, 8.0)
+    assert one.until(lambda: one.swimmer.task.progress is not None, 8.0)
     one.run(4.0)
     arm = one.body.at[:2] - middle
     assert np.hypot(*arm) == pytest.approx(0.3, abs=0.03)

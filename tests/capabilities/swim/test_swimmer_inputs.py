@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from agent.capabilities.swim.swim import swimmer_of
 from agent.core.codec import encode
 from agent.core.step_io import Flow, SeenTag
 from agent.core.step_transaction import Revertible
@@ -38,11 +39,11 @@ def test_a_step_that_raises_is_undone(swum, monkeypatch) -> None:
     for now_ns, inputs, *_ in told[:60]:
         agent.step(inputs, now_ns)
     now_ns, inputs = next((now_ns, inputs) for now_ns, inputs, *_ in told[60:] if inputs.landmarks)
-    before, ring = memory(agent.swimmer), agent.swimmer.localizer._ring
+    before, ring = memory(swimmer_of(agent.capabilities)), swimmer_of(agent.capabilities).localizer._ring
     assert ring is not None and ring._events
 
     def broken(*_):
-        assert memory(agent.swimmer) != before
+        assert memory(swimmer_of(agent.capabilities)) != before
         raise ZeroDivisionError
 
     with monkeypatch.context() as patch:
@@ -51,9 +52,9 @@ def test_a_step_that_raises_is_undone(swum, monkeypatch) -> None:
     assert agent.net.holds
     assert told[59][2].set_point.force_n != (0.0, 0.0), "it was on its way"
     assert (*held.force_n, held.yaw_moment_nm) == (0.0, 0.0, 0.0), "and does not go on blindly"
-    assert memory(agent.swimmer) == before and agent.swimmer.localizer._ring is ring
+    assert memory(swimmer_of(agent.capabilities)) == before and swimmer_of(agent.capabilities).localizer._ring is ring
     agent.step(inputs, now_ns + STEP_NS)
-    assert not agent.net.holds and memory(agent.swimmer) != before
+    assert not agent.net.holds and memory(swimmer_of(agent.capabilities)) != before
 
 
 NUMBERS = [float("nan"), float("inf"), -1e300, 1e150, 1e20, 1e4]
@@ -75,7 +76,7 @@ def test_numbers_that_cannot_be_are_refused(swum, known, number) -> None:
     k = next(k for k in whole if k >= (70 if known else 28))  # by then the gimbal is at rest, and not yet on its way
     for now_ns, inputs, *_ in told[:k]:
         agent.step(inputs if known else replace(inputs, landmarks=()), now_ns)
-    place = agent.swimmer.localizer
+    place = swimmer_of(agent.capabilities).localizer
     before = place.at(now_ns)
     assert (before is not None) is known and not place.refused
     now_ns, inputs, *_ = told[k]
@@ -113,7 +114,9 @@ def test_tags_that_nobody_surveyed_say_nothing(swum) -> None:
             for frame in inputs.landmarks or ()
         ]
         agent.step(replace(inputs, landmarks=tuple(strangers)), now_ns)
-    assert agent.swimmer.lost and "no tag of the map" in agent.swimmer.localizer.refused
+    assert (
+        swimmer_of(agent.capabilities).lost and "no tag of the map" in swimmer_of(agent.capabilities).localizer.refused
+    )
 
 
 def test_frames_come_late_twice_or_in_another_order(swum) -> None:
@@ -131,7 +134,7 @@ def test_frames_come_late_twice_or_in_another_order(swum) -> None:
         for k, batch in enumerate(batches, start=1):
             agent.step(replace(inputs, telemetry=(telemetry(now_ns, DEPTH_M),), landmarks=batch), now_ns + k)
             assert agent.net.fault(now_ns + k) is None
-        ring = agent.swimmer.localizer._ring
+        ring = swimmer_of(agent.capabilities).localizer._ring
         return ring.at(now_ns), ring
 
     in_order, _ = after((before, last, newest))

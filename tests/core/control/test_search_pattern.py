@@ -3,14 +3,15 @@
 import numpy as np
 import pytest
 
-from agent.core.attitude import Attitude
+from agent.core.capability import CameraAct, LightView
 from agent.core.config import Body
-from agent.core.control.search_pattern import FRAMES, Roam, all_around, spiral, view_deg
-from agent.core.control.target_search import Seek
+from agent.core.control.search_pattern import FRAMES, Roam, SearchPlan, all_around, spiral, view_deg
 from agent.core.step_io import Sighting
+from agent.robot.target_search import Seek
 from tests.capabilities.swim.swimming_agent import CALIBRATION, CAMERA, fleet
+from tests.core.control.situations import situation
 
-LEVEL, START_NS, STEP_NS = Attitude(0.3, 0.0, 0.0), 10**18, 50_000_000
+START_NS, STEP_NS = 10**18, 50_000_000
 WAYS = ((-60.0, -10.0), (0.0, -10.0), (60.0, -10.0))
 
 
@@ -18,15 +19,19 @@ WAYS = ((-60.0, -10.0), (0.0, -10.0), (60.0, -10.0))
 def seek():
     of = fleet()
     seek = Seek(of, of.robot["r1"], CALIBRATION)
-    seek.roam = Roam("ball", (), WAYS)
+    seek.search(SearchPlan("ball", (), WAYS))
     return seek
 
 
 def look(seek, found, now_ns):
     """A frame as the gimbal has just arrived, but for its play, and one step."""
     frame = Sighting(t_ns=now_ns, frame=1, target="ball", found=found, centre_px=(320.0, 240.0), radius_px=40.0)
-    seek.add_sighting(frame)
-    return seek.act(now_ns, "ball", LEVEL, None, True)
+    seek.add_sighting(frame, LightView())
+    return act(seek, now_ns)
+
+
+def act(seek, now_ns):
+    return seek.act(situation(seek, now_ns), True)
 
 
 @pytest.mark.parametrize("depth_m, surface_m", [(0.3, 0.6), (0.1, 0.5), (0.3, 0.31)])
@@ -47,7 +52,7 @@ def test_the_spiral_grows_with_what_is_not_known() -> None:
 
 
 def test_a_look_is_over_after_two_frames_without_the_target_and_before_the_gimbal_rests(seek) -> None:
-    seek.act(START_NS, "ball", LEVEL, None, True)
+    act(seek, START_NS)
     now_ns, panned = START_NS, []
     for _ in range(4):
         panned.append(round(seek.gimbal_deg()[0]))
@@ -62,9 +67,9 @@ def test_a_look_is_over_after_two_frames_without_the_target_and_before_the_gimba
 
 
 def test_where_there_is_something_it_stays_and_measures(seek) -> None:
-    seek.act(START_NS, "ball", LEVEL, None, True)
+    act(seek, START_NS)
     at_us, now_ns = seek.pointing.goal_us, seek.pointing.nearly_from_ns
-    assert look(seek, True, now_ns) is None and seek.sees("ball", now_ns)
+    assert look(seek, True, now_ns) is None and seek.view(now_ns).sees("ball")
     assert seek.pointing.goal_us == at_us
     assert look(seek, True, seek.pointing.steady_from_ns) is not None, "a sweep"
 
@@ -81,8 +86,8 @@ def test_after_a_glimpse_it_looks_to_both_sides_once() -> None:
 
 
 def test_to_look_at_landmarks_meanwhile_loses_no_look(seek) -> None:
-    seek.act(START_NS, "ball", LEVEL, None, True)
+    act(seek, START_NS)
     at_us, now_ns = seek.pointing.goal_us, START_NS + STEP_NS
-    seek.look(30.0, 5.0, now_ns)
-    seek.act(now_ns + STEP_NS, "ball", LEVEL, None, True)
+    seek.carry_out(CameraAct((30.0, 5.0)), now_ns)
+    act(seek, now_ns + STEP_NS)
     assert seek.pointing.goal_us == at_us

@@ -15,9 +15,9 @@ import pytest
 from agent.core.codec import decode
 from agent.core.messages import Answer, Explain, LogLine, State
 from agent.core.step_io import Outputs
+from agent.core.verbs import VERBS
 from agent.perception.vision import rerun_vision
 from agent.robot.operator import BROKE
-from agent.robot.verbs import VERBS
 from replay.check.check import check, text
 from replay.check.reexecute import open_box, open_boxes
 from replay.check.vision_check import check_vision
@@ -120,7 +120,7 @@ def test_the_new_ones_show_what_they_are_kept_for() -> None:
 MUTATIONS = {
     "agent.robot.step.LATEST_ITERATION": 1.4,
     "agent.robot.step.STATE_NS": 250_000_000,
-    "agent.core.control.target_search.CENTRED": 1.0,
+    "agent.robot.target_search.CENTRED": 1.0,
     "agent.core.control.sweep.TRACK_SPAN": 1.6,
     "agent.core.control.pointing.SETTLE_NS": 10**6,
     "agent.core.estimation.fuse.AGREE": 1e6,

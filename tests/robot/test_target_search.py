@@ -2,13 +2,14 @@
 
 import pytest
 
-from agent.core.attitude import Attitude
-from agent.core.control.target_search import LOST_NS, PATIENCE, TURN, Seek, TargetScheduler
+from agent.core.capability import CameraAct, LightView
 from agent.core.ranging.camera_model import look_at
 from agent.core.step_io import Sighting
+from agent.robot.target_search import LOST_NS, PATIENCE, TURN, Seek, TargetScheduler
 from tests.capabilities.swim.swimming_agent import CALIBRATION, POSE, fleet
+from tests.core.control.situations import LEVEL, situation
 
-LEVEL, START_NS, STEP_NS = Attitude(0.3, 0.0, 0.0), 10**18, 50_000_000
+START_NS, STEP_NS = 10**18, 50_000_000
 TOLD_M = (1.7, 1.5, 0.2)  # where others say that the ball is
 
 
@@ -16,12 +17,12 @@ TOLD_M = (1.7, 1.5, 0.2)  # where others say that the ball is
 def seek():
     of = fleet()
     seek = Seek(of, of.robot["r1"], CALIBRATION)
-    seek.act(START_NS, "ball", LEVEL, TOLD_M, True)
+    act(seek, START_NS)
     return seek
 
 
 def act(seek, now_ns, told_m=TOLD_M):
-    return seek.act(now_ns, "ball", LEVEL, told_m, True)
+    return seek.act(situation(seek, now_ns, told_m), True)
 
 
 def test_it_waits_before_it_believes_that_a_target_is_lost(seek) -> None:
@@ -35,7 +36,8 @@ def test_it_waits_before_it_believes_that_a_target_is_lost(seek) -> None:
 def test_after_a_look_elsewhere_it_turns_to_the_target_at_once(seek) -> None:
     now_ns = seek.pointing.steady_from_ns + STEP_NS
     seek.add_sighting(
-        Sighting(t_ns=now_ns, frame=1, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0)
+        Sighting(t_ns=now_ns, frame=1, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0),
+        LightView(),
     )
     plan = act(seek, now_ns)
     for index, lens in enumerate(plan.focus[1:], start=1):  # a peak at 300
@@ -45,9 +47,9 @@ def test_after_a_look_elsewhere_it_turns_to_the_target_at_once(seek) -> None:
             t_ns=now_ns, frame=1 + index, sweep=plan.sweep, index=index, focus=lens, target="ball", found=True,
             centre_px=(320.0, 240.0), radius_px=40.0, clarity=clarity, area_px=2000.0,
         )  # fmt: skip
-        seek.add_sighting(seen)
+        seek.add_sighting(seen, LightView())
     assert seek.finish(now_ns) is not None
-    seek.look(-60.0, 0.0, now_ns)
+    seek.carry_out(CameraAct((-60.0, 0.0)), now_ns)
     away_us, now_ns = seek.pointing.goal_us, now_ns + STEP_NS  # on its way still
     act(seek, now_ns)
     assert seek.pointing.goal_us != away_us
@@ -55,7 +57,8 @@ def test_after_a_look_elsewhere_it_turns_to_the_target_at_once(seek) -> None:
     assert seek.gimbal_deg()[0] == pytest.approx(pan_deg, abs=0.2)
     now_ns = seek.pointing.steady_from_ns + STEP_NS
     seek.add_sighting(
-        Sighting(t_ns=now_ns, frame=99, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0)
+        Sighting(t_ns=now_ns, frame=99, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0),
+        LightView(),
     )
     again = act(seek, now_ns)
     assert len(again.focus) < len(plan.focus)  # it looks around the peak that it knows

@@ -9,9 +9,10 @@ from collections.abc import Mapping
 from msgspec.structs import replace
 
 from agent.core.attitude import Attitude
+from agent.core.capability import CameraAct, CameraView, LightView, SearchView, Situation
 from agent.core.config import Fleet, Pose, Robot
 from agent.core.control.pointing import Pointing, Search, off_centre_px, reachable
-from agent.core.control.search_pattern import Roam
+from agent.core.control.search_pattern import Roam, SearchPlan
 from agent.core.control.sweep import ByLight, Measurement, Rejected, Sweep
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Calibration, Eye, camera_pose, gimbal_deg, look_at, ray, servos_us, to_world
@@ -41,45 +42,52 @@ class Seek(Revertible):
     def __init__(self, fleet: Fleet, robot: Robot, calibration: Calibration) -> None:
         self._fleet, self._robot, self._camera = fleet, robot, calibration.camera
         self.pointing = Pointing()
-        self.pose = robot.pose  # of a robot that swims the caller updates it
-        self.roam: Roam | None = None  # of a robot that searches the caller sets it
+        self._roam: Roam | None = None  # of a robot that searches
         self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
         self._target = next(iter(fleet.target))  # the one that gimbal and lens serve
         self._elsewhere = False  # the gimbal was turned away from it, on purpose
-        self.lit_from_ns: int | None = 0  # since when it is light where the camera looks; None: dark, nothing shows
-        self.by_light: ByLight | None = None  # of a fleet that lights for each other: what lamps change of a sweep
-        self.lit_m: Vector | None = None  # a place that is lit, for a robot that knows no other place; world frame
         self._lit_seen_m: Vector | None = None  # the lit place that the gimbal was turned to
-        self.surveys = False  # a sweep over whole frames is under way, of no target
+        self._view_sweep = False  # a sweep over whole frames is under way, of no target
         self._look_us = self._pulses_us(robot.look.pan_deg, robot.look.tilt_deg)
 
     @property
     def measuring(self) -> bool:
         """A sweep is under way."""
-        return self.surveys or self._memory[self._target].sweep.running
+        return self._view_sweep or self._memory[self._target].sweep.running
 
-    def sees(self, target: str, now_ns: int) -> bool:
-        """Whether it is in view where the gimbal looks, or was as the gimbal came to rest there."""
-        found = self.roam is not None and self.roam.target == target and self.roam.found
-        return found or (target == self._target and self._memory[target].in_view(now_ns))
+    def search(self, plan: SearchPlan | None) -> None:
+        """Look by that plan from now on, or go on with it; None: there is no search."""
+        if plan is None:
+            self._roam = None
+        elif self._roam is None:
+            self._roam = Roam(*plan)
 
-    def glimpsed_m(self, target: str, level: Attitude, far_m: float | None, now_ns: int) -> Vector | None:
-        """About where the target in view is, world frame: the range by the size of a ball, else far_m. None: it is not
-        in view, or its range is not known."""
-        seen, radius_m = self._memory[target].seen, self._fleet.target[target].radius_m
-        if target != self._target or seen is None or seen.centre_px is None or not self.sees(target, now_ns):
-            return None
-        if radius_m is not None and seen.radius_px:
-            far_m = radius_m * self._camera.f_px / seen.radius_px
-        if far_m is None:
-            return None
-        x, y, z = ray(self._camera, seen.centre_px)
-        at_m, tank = to_world(self.eye(level), (far_m * x, far_m * y, far_m * z)), self._fleet.tank
-        x, y, z = (min(max(at, 0.0), most) for at, most in zip(at_m, (*tank.size_m[:2], tank.surface_m), strict=True))
-        return x, y, z
+    def view_sweep(self, runs: bool) -> None:
+        """Whether a sweep over whole frames is under way, of no target."""
+        self._view_sweep = runs
 
-    def add_sighting(self, sighting: Sighting) -> None:
-        """Take note of one frame."""
+    def view(self, now_ns: int) -> CameraView:
+        """Gimbal and lens, as others may know them."""
+        at, memory, roam = self.pointing, self._memory[self._target], self._roam
+        running, in_view = memory.sweep.running, memory.in_view(now_ns)
+        return CameraView(
+            goal_us=at.goal_us,
+            gimbal_deg=self.gimbal_deg(),
+            told_ns=at.told_ns,
+            last_leg_ns=at.last_leg_ns,
+            steady_from_ns=at.steady_from_ns,
+            tracks=at.tracks,
+            sweep="view" if self._view_sweep else "target" if running else "none",
+            target=self._target,
+            seen=memory.seen,
+            in_view=in_view,
+            ready=not self._elsewhere and not self.measuring and memory.sweep.ready(now_ns),
+            most_sweep_ns=memory.sweep.most_ns,
+            search=None if roam is None else SearchView(roam.target, roam.found, roam.spirals),
+        )
+
+    def add_sighting(self, sighting: Sighting, light: LightView) -> None:
+        """Take note of one frame, seen by that light."""
         memory = self._memory.get(sighting.target)
         if memory is None:
             return
@@ -87,13 +95,13 @@ class Seek(Revertible):
         if sighting.found and sighting.t_ns >= self.pointing.steady_from_ns:
             memory.seen = sighting
         if (
-            self.roam is not None
-            and sighting.target == self.roam.target
+            self._roam is not None
+            and sighting.target == self._roam.target
             and sighting.t_ns >= self.pointing.nearly_from_ns
-            and self.lit_from_ns is not None
-            and sighting.t_ns >= self.lit_from_ns
+            and light.from_ns is not None
+            and sighting.t_ns >= light.from_ns
         ):
-            self.roam.add_frame(sighting.found)
+            self._roam.add_frame(sighting.found)
 
     def add_telemetry(self, telemetry: Telemetry) -> None:
         """Take note of how still the robot is."""
@@ -107,118 +115,105 @@ class Seek(Revertible):
         """Forget the sweep that ended last: the next one goes by what was known before it."""
         self._memory[self._target].sweep.take_back()
 
-    def ready(self, target: str, now_ns: int) -> bool:
-        """Whether a sweep of that target could begin, were it in the middle of the picture."""
-        here = target == self._target and not self._elsewhere
-        return here and not self.measuring and self._memory[target].sweep.ready(now_ns)
-
-    def most_ns(self) -> int:
-        """How long a sweep of the target can take."""
-        return self._memory[self._target].sweep.most_ns
-
     def remark(self) -> str | None:
         """What a full sweep showed about the lens, once."""
         return self._memory[self._target].sweep.remark()
 
-    def act(
-        self, now_ns: int, target: str, attitude: Attitude | None, told_m: Vector | None, wanted: bool
-    ) -> SweepPlan | None:
-        """Move the gimbal if it must move; else, if a measurement is wanted and possible, start a sweep.
-
-        `target`: which one to look at; a sweep that runs has to end before another may be named.
-        `told_m`: where it is believed to be, world frame.
+    def act(self, situation: Situation, wanted: ByLight | bool) -> SweepPlan | None:
+        """Move the gimbal if it must move, for the watched target; else, if a measurement is wanted and possible, start
+        a sweep. A sweep that runs has to end before another target may be watched. wanted: by which light, or at all.
         """
+        now_ns, target = situation.now_ns, situation.watched
         memory, another = self._memory[target], target != self._target or self._elsewhere
         self._target, self._elsewhere = target, False
         if self.pointing.goal_us is None:
             self._aim(self._look_us, now_ns)
         if memory.sweep.running:
             return None
-        if self.roam is not None and self.roam.target == target and self.roam.empty and not memory.in_view(now_ns):
-            self.roam.advance()
+        if self._roam is not None and self._roam.target == target and self._roam.empty and not memory.in_view(now_ns):
+            self._roam.advance()
             another = True
-        if self._goes_to_light(memory, attitude, told_m, now_ns) or not (another or self.pointing.steady(now_ns)):
+        if self._goes_to_light(memory, situation) or not (another or self.pointing.steady(now_ns)):
             return None
         if memory.seen is not None and memory.seen.centre_px is not None and memory.in_view(now_ns):
             memory.search.reset()
             off_px = off_centre_px(memory.seen.centre_px, self._camera.width_px, self._camera.height_px)
             if off_px <= CENTRED * self._camera.width_px:
-                if not wanted or attitude is None or not memory.sweep.ready(now_ns):
+                if not wanted or situation.level is None or not memory.sweep.ready(now_ns):
                     return None
-                plan = memory.sweep.start(now_ns, self.by_light)
+                plan = memory.sweep.start(now_ns, wanted if isinstance(wanted, ByLight) else None)
                 return replace(plan, target=target) if len(self._memory) > 1 else plan
-            self._turn_to_pixel(memory.seen.centre_px, attitude, now_ns)
+            self._turn_to_pixel(memory.seen.centre_px, situation)
         elif another:  # the camera was elsewhere: nothing to wait for, and the last peak still holds
-            self._look_around(memory.search, attitude, told_m, now_ns)
-        elif self._lost(memory, now_ns):
+            self._look_around(memory.search, situation)
+        elif self._lost(memory, situation):
             memory.sweep.forget()
-            self._look_around(memory.search, attitude, told_m, now_ns)
+            self._look_around(memory.search, situation)
         return None
 
-    def _goes_to_light(
-        self, memory: TargetMemory, attitude: Attitude | None, told_m: Vector | None, now_ns: int
-    ) -> bool:
+    def carry_out(self, act: CameraAct, now_ns: int) -> None:
+        """What another holder of the camera wants of gimbal and lens. The next `act` turns the camera back, unless the
+        target of that is tracked."""
+        if act.aim_deg is not None:
+            goal_us = self._pulses_us(*act.aim_deg)
+            self._elsewhere = act.target is None
+            self._target = act.target or self._target
+            if act.mode == "track":
+                self.pointing.track(goal_us, now_ns)
+            else:
+                self._aim(goal_us, now_ns)
+        self._view_sweep = self._view_sweep or act.plan is not None
+
+    def _goes_to_light(self, memory: TargetMemory, situation: Situation) -> bool:
         """Turn to what is lit, once, where nothing is seen and no neighbour has told anything; whether that was now."""
-        before, self._lit_seen_m = self._lit_seen_m, self.lit_m
-        if self.lit_m is None or self.lit_m == before or told_m is not None or memory.in_view(now_ns):
+        before, self._lit_seen_m = self._lit_seen_m, situation.light.place_m
+        lit_m, told_m = situation.light.place_m, situation.target.believed_m
+        if lit_m is None or lit_m == before or told_m is not None or memory.in_view(situation.now_ns):
             return False
-        self._turn_to_point(self.lit_m, attitude or Attitude(self._robot.depth_m, 0.0, 0.0), (0.0, 0.0), now_ns)
+        self._turn_to_point(lit_m, situation, (0.0, 0.0))
         return True
 
-    def _lost(self, memory: TargetMemory, now_ns: int) -> bool:
-        if self.lit_from_ns is None:
+    def _lost(self, memory: TargetMemory, situation: Situation) -> bool:
+        if situation.light.from_ns is None:
             return False
-        since_ns = max(memory.seen.t_ns if memory.seen else 0, self.pointing.steady_from_ns, self.lit_from_ns)
-        return now_ns - since_ns > LOST_NS
+        seen_ns = memory.seen.t_ns if memory.seen else 0
+        return situation.now_ns - max(seen_ns, self.pointing.steady_from_ns, situation.light.from_ns) > LOST_NS
 
-    def look(self, pan_deg: float, tilt_deg: float, now_ns: int, swift: bool = False) -> None:
-        """Turn the camera elsewhere, for another purpose than the target; not while a sweep is under way. The next
-        `act` turns it back. swift: from a target that it tracks, without rest."""
-        self._elsewhere, goal_us = True, self._pulses_us(pan_deg, tilt_deg)
-        if swift:
-            self.pointing.track(goal_us, now_ns)
-        else:
-            self._aim(goal_us, now_ns)
-
-    def track(self, target: str, pan_deg: float, tilt_deg: float, now_ns: int) -> None:
-        """Point there now, and elsewhere with the next step: the camera tracks that target. Not while a sweep is under
-        way."""
-        self._target, self._elsewhere = target, False
-        self.pointing.track(self._pulses_us(pan_deg, tilt_deg), now_ns)
-
-    def eye(self, level: Attitude, pose: Pose | None = None) -> Eye:
-        """Where the camera is while the gimbal rests at its goal; `pose`: of another time than now."""
-        return camera_pose(pose or self.pose, self._fleet.body, *level, *self.gimbal_deg(), self._fleet.tank.surface_m)
+    def eye(self, level: Attitude, pose: Pose) -> Eye:
+        """Where the camera is while the gimbal rests at its goal."""
+        return camera_pose(pose, self._fleet.body, *level, *self.gimbal_deg(), self._fleet.tank.surface_m)
 
     def gimbal_deg(self) -> tuple[float, float]:
         """Pan and tilt at rest at the goal, by calibration."""
         return gimbal_deg(self._camera, self._fleet.body, self.pointing.goal_us or self._look_us)
 
-    def _turn_to_pixel(self, centre_px: tuple[float, float], attitude: Attitude | None, now_ns: int) -> None:
-        level = attitude or Attitude(self._robot.depth_m, 0.0, 0.0)
-        point = to_world(self.eye(level), ray(self._camera, centre_px))  # 1 m away: only the direction counts
-        self._turn_to_point(point, level, (0.0, 0.0), now_ns)
+    def _level(self, situation: Situation) -> Attitude:
+        return situation.level or Attitude(self._robot.depth_m, 0.0, 0.0)
 
-    def _look_around(self, search: Search, attitude: Attitude | None, told_m: Vector | None, now_ns: int) -> None:
-        level = attitude or Attitude(self._robot.depth_m, 0.0, 0.0)
-        if self.roam is not None and self.roam.target == self._target:
-            self._look_on(self.roam, level, told_m, now_ns)
+    def _turn_to_pixel(self, centre_px: tuple[float, float], situation: Situation) -> None:
+        eye = self.eye(self._level(situation), situation.pose)
+        self._turn_to_point(to_world(eye, ray(self._camera, centre_px)), situation, (0.0, 0.0))  # 1 m away
+
+    def _look_around(self, search: Search, situation: Situation) -> None:
+        told_m, now_ns = situation.target.believed_m, situation.now_ns
+        if self._roam is not None and self._roam.target == self._target:
+            self._look_on(self._roam, situation)
         elif told_m is None:
             self._aim(self._look_us, now_ns)
         else:
-            offset = search.offset_deg(self.pointing.steady(now_ns), now_ns)
-            self._turn_to_point(told_m, level, offset, now_ns)
+            self._turn_to_point(told_m, situation, search.offset_deg(self.pointing.steady(now_ns), now_ns))
 
-    def _look_on(self, roam: Roam, level: Attitude, told_m: Vector | None, now_ns: int) -> None:
-        offset = roam.offset_deg
+    def _look_on(self, roam: Roam, situation: Situation) -> None:
+        offset, told_m = roam.offset_deg, situation.target.believed_m
         if offset is not None and told_m is not None:
-            self._turn_to_point(told_m, level, offset, now_ns)
+            self._turn_to_point(told_m, situation, offset)
         else:
-            self._aim(self._pulses_us(*roam.way_deg), now_ns)
+            self._aim(self._pulses_us(*roam.way_deg), situation.now_ns)
 
-    def _turn_to_point(self, point: Vector, level: Attitude, offset_deg: tuple[float, float], now_ns: int) -> None:
-        pan, tilt = look_at(point, self.pose, self._fleet.body, *level, self._fleet.tank.surface_m)
-        self._aim(self._pulses_us(pan + offset_deg[0], tilt + offset_deg[1]), now_ns)
+    def _turn_to_point(self, point: Vector, situation: Situation, offset_deg: tuple[float, float]) -> None:
+        level, surface_m = self._level(situation), self._fleet.tank.surface_m
+        pan, tilt = look_at(point, situation.pose, self._fleet.body, *level, surface_m)
+        self._aim(self._pulses_us(pan + offset_deg[0], tilt + offset_deg[1]), situation.now_ns)
 
     def _pulses_us(self, pan_deg: float, tilt_deg: float) -> tuple[int, int]:
         return reachable(servos_us(self._camera, self._fleet.body, pan_deg, tilt_deg))

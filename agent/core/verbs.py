@@ -81,8 +81,27 @@ class Set(Struct, frozen=True, kw_only=True):
     value: float
 
 
-Swim = Goto | Turn | Orbit | Trial | Follow | Search | Survey
-Args = Stop | Disarm | Surface | Arm | Resume | Clock | HoldHere | LookAt | Burn | DrawBox | Set | Swim
+BEHAVIOURS = (Goto, Turn, Orbit, Trial, Follow, Search, Survey)
+Args = (
+    Stop
+    | Disarm
+    | Surface
+    | Arm
+    | Resume
+    | Clock
+    | HoldHere
+    | LookAt
+    | Burn
+    | DrawBox
+    | Set
+    | Goto
+    | Turn
+    | Orbit
+    | Trial
+    | Follow
+    | Search
+    | Survey
+)
 
 VERBS: Mapping[str, type[Args]] = MappingProxyType(
     {
@@ -130,6 +149,12 @@ def in_words(verb: str, what: Args) -> str:
     shown = [f"{name}={value:g}" if isinstance(value, float) else f"{name}={value}" for name, value in given.items()]
     told = [text for text, value in zip(shown, given.values(), strict=True) if value is not None]
     return " ".join((verb, *told))[:MAX_WORDS]
+
+
+def within(name: str, value: float, lowest: float, highest: float) -> None:
+    """Raises Refusal for a value that is not."""
+    if not lowest <= value <= highest:
+        raise Refusal("content", f"{name}: {value:g} is not within {lowest:g} to {highest:g}")
 
 
 def _plain(what: str) -> str:

@@ -1,0 +1,272 @@
+"""Measuring targets by sweeps: whose turn it is, what a sweep measured, when its protocol iterates, what is said of it.
+
+It proposes for the camera as capabilities do, on the last row of the table: what takes the camera from it has a reason.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+
+from msgspec import UNSET, UnsetType
+from msgspec.structs import replace
+
+from agent.core.attitude import AttitudeLog
+from agent.core.capability import (
+    CameraAct,
+    Capability,
+    Context,
+    Illumination,
+    OwnView,
+    PoseSource,
+    Proposal,
+    Sample,
+    Situation,
+    Spoiled,
+    TargetView,
+)
+from agent.core.config import common
+from agent.core.control.sweep import Measurement, Rejected
+from agent.core.estimation.evidence_table import inside
+from agent.core.estimation.interface import Bearing, Prior
+from agent.core.estimation.protocols import iteration_ns
+from agent.core.messages import Estimate, Level, Mode, State
+from agent.core.ranging.camera_model import Eye
+from agent.core.ranging.fix import EXACT, Fix, NoRange, OwnPose, locate
+from agent.core.status import Status, sweep_outcome
+from agent.core.step_io import SweepOutcome
+from agent.core.step_transaction import Net, Revertible
+from agent.core.target_state import TargetState
+from agent.core.topics import next_due_ns
+from agent.robot.target_search import Seek, TargetScheduler
+
+LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods
+
+
+class Targets(Revertible):
+    """All targets as one robot knows them, between steps."""
+
+    def __init__(self, context: Context, seek: Seek) -> None:
+        fleet, name = context.fleet, context.name
+        self._fleet, self._calibration, self._moored = fleet, context.calibration, fleet.robot[name].pose
+        self._neighbours = fleet.robot[name].neighbours
+        self._attitude: AttitudeLog = context.attitude
+        self._log, self._seek = context.log, seek
+        self._light: Illumination = context.light
+        self._source: PoseSource = context.source
+        self._iteration_ns = {target: iteration_ns(fleet, target) for target in fleet.target}
+        shared = common(fleet)
+        self.all = {target: TargetState(fleet, name, target, context.incarnation, shared) for target in fleet.target}
+        self._scheduler = TargetScheduler(tuple(fleet.target))
+        self._judged: Measurement | None = None  # a sweep whose light is not known to have stayed
+        self._turned = False  # the turn changed in this step
+        self._iterated_ns = self._say_due_ns = 0
+        self._said = 0
+
+    @property
+    def watched(self) -> str:
+        """The target whose turn it is."""
+        return self._scheduler.target
+
+    @property
+    def current(self) -> TargetState:
+        return self.all[self.watched]
+
+    def begin(self, now_ns: int) -> None:
+        """The first step."""
+        self._iterated_ns = now_ns
+
+    # --- measurements -----------------------------------------------------------------------------------------
+
+    def measure(self, now_ns: int) -> SweepOutcome | UnsetType:
+        """A finished sweep becomes a prior: where the sharpest frame saw the target, in the world."""
+        if (late := self._source.settled(now_ns)) is not None:
+            self.all[late[0]].measure(late[1])
+        result = self._counted(self._seek.finish(now_ns), now_ns)
+        if (remark := self._seek.remark()) is not None:
+            self._note("warning", remark, now_ns)
+        if result is None:
+            return UNSET
+        if isinstance(result, Rejected):
+            self._note("info", f"sweep rejected: {result.reason}", now_ns)
+            return self._light.marked(sweep_outcome(self.watched, result))
+        known = self._source.at_sample(result.t_ns, now_ns)
+        fix = self._fix(result, known)
+        if isinstance(fix, NoRange):
+            self._note("warning", f"sweep rejected: {fix.reason}", now_ns)
+        else:
+            prior = Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2)
+            if known is None or not self._kept(result, known, prior, now_ns):
+                self.current.measure(prior)
+        return self._light.marked(sweep_outcome(self.watched, result, fix))
+
+    def _counted(self, result: Measurement | Rejected | None, now_ns: int) -> Measurement | Rejected | None:
+        """A sweep that ended counts as soon as its light is known not to have changed."""
+        if isinstance(result, Rejected):
+            self._light.failed(now_ns)
+            return result
+        if result is not None:
+            self._judged = result
+            self._light.ended(now_ns)
+        if (pending := self._judged) is None or (found := self._light.verdict(now_ns)) is None:
+            return None
+        self._judged = None
+        if not isinstance(found, Spoiled):
+            return pending
+        self._seek.take_back()
+        return Rejected(pending.sweep, f"spoiled: {found.reason}", held_width=pending.held_width)
+
+    def _fix(self, peak: Measurement, known: Sample | None) -> Fix | NoRange:
+        """Where a sweep's peak puts the target; known: where a robot that swims was then."""
+        level = self._attitude.at(peak.t_ns)
+        if level is None:
+            return NoRange("no telemetry at the time of its sharpest frame")
+        if known is None and self._source.moves:
+            return NoRange("where it was itself at the time of its sharpest frame is not known")
+        pose, own = (self._moored, None) if known is None else (known.pose, known.own)
+        fix = self._located(peak, self._seek.eye(level, pose), own)
+        if isinstance(fix, Fix) and not inside(fix.position_m, self._fleet.tank.size_m):
+            return NoRange(f"peak at {peak.lens_position:.0f} is outside the tank")
+        return fix
+
+    def _located(self, peak: Measurement, eye: Eye, own: OwnPose | None) -> Fix | NoRange:
+        ball = self.current.ball
+        outline, sigma, cues = self._light.corrected(peak, eye, ball, self._fleet.ranging.cues)
+        return locate(self._calibration, eye, outline, peak.lens_position, sigma, ball, cues, own)
+
+    def _kept(self, peak: Measurement, known: Sample, prior: Prior, now_ns: int) -> bool:
+        """Whether a robot that swims keeps a measurement until it knows better where it was then. The sighting may also
+        tell it where it is, by what others say of the target."""
+        level = self._attitude.at(peak.t_ns)
+        if level is None:
+            return False
+        seen = self._located(peak, self._seek.eye(level, known.pose), EXACT)
+        if isinstance(seen, Fix):
+            self._source.keep(self.watched, seen, known, prior, now_ns)
+        return isinstance(seen, Fix)
+
+    @property
+    def _settling(self) -> bool:
+        """A sweep has ended, and what it is worth is still to be known."""
+        return self._light.judging or self._source.settling
+
+    # --- iterations -------------------------------------------------------------------------------------------
+
+    def iterate(self, own: OwnView | None, bearing: Callable[[TargetView, int], Bearing | None], now_ns: int) -> None:
+        """One each period; a sweep that is nearly done is waited for, a frame of what swims does not wait itself."""
+        target, elapsed_ns = self.current, now_ns - self._iterated_ns
+        period_ns = self._iteration_ns[target.name]
+        due_ns = period_ns // 2 if own is not None and own.sighted == target.name else period_ns
+        comes = target.prior is None and (self._seek.measuring or self._settling)
+        if elapsed_ns < due_ns or (comes and elapsed_ns < LATEST_ITERATION * period_ns):
+            return
+        self._iterated_ns = now_ns
+        target.observe(bearing(self._view(target, None, now_ns), now_ns))
+        for each in self.all.values():
+            each.catch_up(now_ns)
+        if target.iterate(now_ns):
+            self._note("info", f"{target.knows} since iteration {target.since_t}", now_ns)
+
+    def take_turns(self, pursues: str | None) -> None:
+        """Whose turn it is now. pursues: a target that the camera goes with."""
+        before = self.watched
+        busy = self._seek.measuring or self._settling or self._light.claims
+        if not busy and self.current.prior is None:
+            self._scheduler.next({name: each.estimator.t for name, each in self.all.items()}, pursues)
+        self._turned = self.watched != before
+
+    def views(self, own: OwnView | None, now_ns: int) -> tuple[TargetView, ...]:
+        """What is known of each now. own: which of them are asked about more."""
+        return tuple(self._view(each, own, now_ns) for each in self.all.values())
+
+    def _view(self, target: TargetState, own: OwnView | None, now_ns: int) -> TargetView:
+        return TargetView(
+            target.name,
+            target.estimator.posterior,
+            target.prior is not None,
+            target.estimator.by_others() if self._source.aided_by == target.name else None,
+            target.estimate(now_ns) if own is not None and own.about == target.name else None,
+        )
+
+    # --- camera, words ----------------------------------------------------------------------------------------
+
+    def propose(self, situation: Situation) -> Iterable[Proposal[CameraAct]]:
+        return (Proposal("camera", "target", self._watch),)
+
+    def _watch(self, situation: Situation) -> CameraAct:
+        """Look at the target whose turn it is, and sweep where a measurement is wanted."""
+        own = situation.own
+        calm = own is None or (own.calm and self.watched != own.pursues)
+        wanted = self.current.prior is None and not self._settling and calm and situation.orders.sweeps
+        plan = self._seek.act(situation, wanted and self._light.consent(None, situation))
+        if plan is not None:
+            self._light.began(situation)
+        if self._turned:  # the first iteration of a turn begins when the camera has arrived
+            self._iterated_ns = max(situation.now_ns, self._seek.pointing.steady_from_ns)
+        return CameraAct(plan=plan)
+
+    def say(self, send_hz: float | None, pursues: str | None, now_ns: int) -> tuple[Estimate, ...]:
+        """Say to each neighbour what there is about each target; at once what was just concluded of one that swims."""
+        fresh = pursues is not None and self._iterated_ns == now_ns
+        say_ns = round(1e9 / (send_hz or self._fleet.link.send_hz))
+        if now_ns < self._say_due_ns - fresh * say_ns // 2:
+            return ()
+        self._say_due_ns = next_due_ns(min(self._say_due_ns, now_ns), say_ns, now_ns)
+        self._said += 1
+        return tuple(
+            target.say(neighbour, self._said, now_ns) for target in self.all.values() for neighbour in self._neighbours
+        )
+
+    def _note(self, level: Level, text: str, now_ns: int) -> None:
+        """A line of the log about the target that the camera is at; its name is needless where it is the only one."""
+        about = f"{self.watched}: " if len(self.all) > 1 else ""
+        self._log.note(level, about + text, now_ns)
+
+
+# --- telemetry ---
+# The State that a robot shows: one target after the other, so that each has the same rate, however many there are.
+
+STATE_NS = 200_000_000  # 5 Hz
+
+
+class Telemetry(Revertible):
+    """Of one robot, between steps."""
+
+    def __init__(
+        self,
+        targets: Mapping[str, TargetState],
+        status: Status,
+        attitude: AttitudeLog,
+        capabilities: Mapping[str, Capability],
+        net: Net,
+    ) -> None:
+        self._targets, self._status, self._attitude = tuple(targets.values()), status, attitude
+        self._capabilities, self._net = capabilities, net
+        self._period_ns = STATE_NS // len(targets)
+        self._due_ns = self._shown = 0
+
+    def state(
+        self,
+        refused: Mapping[str, int],
+        gimbal_deg: tuple[float, float],
+        signed: bool,
+        ordered: tuple[str, ...] | UnsetType,
+        now_ns: int,
+    ) -> State | None:
+        """What is known of the target whose turn it is; None: it is not time."""
+        if now_ns < self._due_ns:
+            return None
+        self._due_ns = next_due_ns(self._due_ns, self._period_ns, now_ns)
+        target = self._targets[self._shown % len(self._targets)]
+        self._shown += 1
+        state = self._status.state(target, dict(refused), self._attitude, gimbal_deg, now_ns)
+        mode: Mode = "running" if self._net.fault(now_ns) is None else "degraded"
+        parts = {key: value for one in self._capabilities.values() for key, value in one.telemetry(now_ns).items()}
+        return target.show(replace(state, mode=mode, signed=signed, ordered=ordered, **parts))
+
+    def last(self, target: TargetState, now_ns: int) -> State | None:
+        """What can be shown while no step succeeds: the newest state there was, and that it is no longer true."""
+        if now_ns < self._due_ns or target.last_state is None:
+            return None
+        self._due_ns = next_due_ns(self._due_ns, self._period_ns, now_ns)
+        last, why = target.last_state, self._net.fault(now_ns) or ""
+        return target.show(replace(last, seq=last.seq + 1, sent_ns=now_ns, mode="degraded", faults=(why,)))
