@@ -67,7 +67,7 @@ def command_line() -> Any:
 
 def usage_error(error: typer.TyperException) -> str:
     """One line for what typer found wrong; none where it has shown the help instead."""
-    said = error.format_message().replace("Value error, ", "").rstrip(".")
+    said = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
     context = getattr(error, "ctx", None)
     return f"aucamp: {said}{f'; see {context.command_path} --help' if context else ''}\n" if said else ""
 

@@ -167,6 +167,9 @@ def parts(name: str, which: Experiment, only: Sequence[str]) -> dict[str, Any]:
 def perform_one(which: Experiment, asked: dict[str, Any], out: Path | None) -> None:
     """Load the module, which takes seconds, and run it. Raises ConfigError and Failed."""
     module = import_module(f"agent.experiments.{which.module}")
-    settings = msgspec.convert(asked, module.Settings, strict=False)
+    try:
+        settings = msgspec.convert(asked, module.Settings, strict=False)
+    except msgspec.ValidationError as error:
+        raise ConfigError(f"experiment: {error}") from None
     figures = getattr(module, "figures", no_figures)
     perform(module.run, settings, module.table, out, terminal(), which.counted, figures)
