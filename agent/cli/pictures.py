@@ -159,7 +159,8 @@ def calibrate(
         Path | None, typer.Argument(metavar="[FLEET]", help="landmarks: the fleet file that lists the tags.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="File whose table is written; run: the fleet file's own if not given.")
+        Path | None,
+        typer.Option(help=r"File whose table is written, such as \[focus]; run: the fleet file's own if not given."),
     ] = None,
     robot: Annotated[str | None, typer.Option(help="run: which robot of the fleet file.")] = None,
     board: Annotated[
