@@ -25,16 +25,8 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Small groups of low-cost underwater robots that find a target together.",
 )
-app.add_typer(diving.app)
-app.add_typer(ground.app)
-app.add_typer(ground.app)
-app.add_typer(ground.app)
-app.add_typer(ground.app)
-app.add_typer(ground.bridge_app, name="bridge")
-app.add_typer(pictures.app)
-app.add_typer(pictures.calibrate_app, name="calibrate")
-app.add_typer(ground.board_app, name="board")
-app.add_typer(experiments.app, name="experiment")
+for commands in (diving, ground, pictures, experiments):
+    app.add_typer(commands.app)
 app.add_typer(recordings.app, name="replay")
 app.add_typer(recordings.export_app)
 app.add_typer(recordings.reconstruct_app)
@@ -75,7 +67,7 @@ def command_line() -> Any:
 
 def usage_error(error: typer.TyperException) -> str:
     """One line for what typer found wrong; none where it has shown the help instead."""
-    said = error.format_message().replace("Value error, ", "").rstrip(".")
+    said = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
     context = getattr(error, "ctx", None)
     return f"aucamp: {said}{f'; see {context.command_path} --help' if context else ''}\n" if said else ""
 

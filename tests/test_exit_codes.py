@@ -81,5 +81,5 @@ def test_a_flag_has_no_type_in_help(capsys: pytest.CaptureFixture[str]) -> None:
     for verb in ("demo", "agent"):
         command_line()(args=[verb, "--help"], prog_name="aucamp", standalone_mode=False)
     shown = capsys.readouterr().out
-    assert "--no-enhance" in shown and "--lossless" in shown and "<path>" in shown
+    assert "--secure" in shown and "--lossless" in shown and "<path>" in shown
     assert "<bool>" not in shown

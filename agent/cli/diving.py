@@ -45,7 +45,6 @@ def demo(
         float | None,
         typer.Option(min=1.0, help="Time limit in seconds of the dive; 120 if not given, with --page 1800."),
     ] = None,
-    enhance: Annotated[bool | None, typer.Option(help="Where a frame shows no ball, look for it enhanced.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the recordings; runs/<UTC time> if not given.")] = None,
     fleet: Annotated[str, typer.Option(help=f"A fleet that ships ({SHIPPED}), or a fleet file.")] = "tank",
     speed: Speed = 1.0,
@@ -66,7 +65,7 @@ def demo(
     from replay.report.report import report
 
     limit_s = duration or (WITH_PAGE_S if page else ALONE_S)
-    run, summary = dive(robots, protocol, loss, seed, limit_s, enhance, out, terminal(), fleet, speed, secure, page)
+    run, summary = dive(robots, protocol, loss, seed, limit_s, out, terminal(), fleet, speed, secure, page)
     with keeping(run, terminal()), with_spinner(terminal(), "writing the report"):
         written = report(run, depth=sweep_depth)
     terminal().print(f"{verdict(summary)}. Look at {written}; recordings are beside it")
@@ -80,7 +79,6 @@ def agent(
     out: Annotated[Path | None, typer.Option(help="Folder of the recording; the current one if not given.")] = None,
     arm: Annotated[bool, typer.Option("--arm", help="Start the motors; without it they stay off.")] = False,
     lossless: Annotated[bool, typer.Option("--lossless", help="Record camera frames bit by bit, not as JPEG.")] = False,
-    view: Annotated[bool, typer.Option(help="Record channels for Foxglove and Rerun as well.")] = True,
     behaviour: Annotated[
         str | None,
         typer.Option(
@@ -96,7 +94,7 @@ def agent(
         def doubts(read: Fleet) -> str | None:
             return before_dive(read, robot, fleet, out or Path())
 
-        run(fleet, robot, out, arm, stop, lossless, view, behaviour, doubts)
+        run(fleet, robot, out, arm, stop, lossless, behaviour, doubts)
 
 
 @app.command(epilog="Example: aucamp twin fleet.toml")
@@ -117,7 +115,6 @@ def twin(
 def record(
     fleet: FleetFiles,
     out: Annotated[Path, typer.Option(help="File to write: NAME.mcap. Of several fleets a folder: FLEET.mcap in it.")],
-    view: Annotated[bool, typer.Option(help="Record channels for Foxglove and Rerun as well.")] = True,
 ) -> None:
     """Record all traffic of a fleet, or of several, until Ctrl-C or SIGTERM. The robots do not notice.
 
@@ -126,7 +123,7 @@ def record(
     with until_signal() as stop:
         from agent.ground.observe import record_fleets
 
-        recorded = record_fleets(fleet, out, stop, complain, view)
+        recorded = record_fleets(fleet, out, stop, complain)
     for line in recorded.done:
         terminal().print(line)
     if recorded.failed:

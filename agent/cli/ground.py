@@ -7,13 +7,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from enum import StrEnum
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NoReturn
+from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
 from agent.core.config import ConfigError
 from agent.core.verbs import VERBS
-from agent.process.command import FleetFile, Port, RobotName, complain, new_file, run_folder
+from agent.process.command import FleetFile, Port, RobotName, complain, new_file, refuse_options, run_folder
 from agent.process.launch import until_signal
 from agent.robot.fleet_reader import load_fleet, load_robot
 
@@ -213,7 +213,7 @@ def page(
 
 SIMULATOR = "-35.363262,149.165237"  # where the simulator of ArduPilot stands, as those who know it know
 
-bridge_app = typer.Typer(no_args_is_help=True, help="A running fleet for programs that speak another language.")
+BRIDGE_TAKES = {"mavlink": ("--origin",), "ros2": ("--domain",), "keelson": ()}
 
 
 def as_place(text: str) -> tuple[float, float]:
@@ -227,12 +227,6 @@ def as_place(text: str) -> tuple[float, float]:
     return latitude_deg, longitude_deg
 
 
-Looker = Annotated[
-    str | None,
-    typer.Option("--as", metavar="NAME", help="By whose certificate it looks: an observer of the fleet file."),
-]
-
-
 @contextmanager
 def extra(name: str, package: str) -> Iterator[None]:
     """Say which extra it takes where a package is missing."""
@@ -244,78 +238,68 @@ def extra(name: str, package: str) -> Iterator[None]:
         raise ConfigError(f"this bridge needs the extra `{name}`; in your clone: pip install -e '.[{name}]'") from None
 
 
-@bridge_app.command(epilog="Example: aucamp bridge mavlink fleet.toml --as ann")
-def mavlink(
+@app.command(no_args_is_help=True, epilog="Example: aucamp bridge mavlink fleet.toml --as ann")
+def bridge(
+    kind: Annotated[Literal["mavlink", "ros2", "keelson"], typer.Argument(help="The language.")],
     fleet: FleetFile,
-    console: Annotated[
+    name: Annotated[
         str | None,
-        typer.Option("--as", metavar="NAME", help="Take commands, as this console of the fleet file; else only look."),
+        typer.Option("--as", metavar="NAME", help="mavlink: the console that orders; else the observer that looks."),
     ] = None,
     port: Annotated[
-        int, typer.Option(min=1024, max=65535, help="UDP port of the ground station on this machine.")
-    ] = 14550,
+        int | None,
+        typer.Option(min=1024, max=65535, help="Of the other program on this machine; mavlink 14550, others 7447."),
+    ] = None,
     origin: Annotated[
-        str, typer.Option(metavar="LAT,LON", help="Where on the map the tank's corner is drawn: degrees, made up.")
-    ] = SIMULATOR,
+        str | None,
+        typer.Option(metavar="LAT,LON", help="mavlink: where the tank's corner is drawn on the map: degrees, made up."),
+    ] = None,
+    domain: Annotated[int | None, typer.Option(min=0, max=232, help="ros2: ROS_DOMAIN_ID; 0 if not given.")] = None,
 ) -> None:
-    """Each robot as a submarine for a ground station on this machine, until Ctrl-C.
+    """A running fleet for programs that speak another language, until Ctrl-C.
 
-    It may arm, disarm, hold and surface; only the robot that is addressed, and only with --as.
+    \b
+    mavlink  each robot as a submarine for a ground station, by UDP
+    ros2     poses, targets and pictures for ROS 2 with rmw_zenoh
+    keelson  attitude, place, pictures and log for programs of keelson
+
+    A ground station may arm, disarm, hold and surface a robot, if --as is given; the others only look.
     """
-    place, robots = as_place(origin), load_fleet(fleet)
+    refuse_options(f"bridge {kind}", {"--origin": origin, "--domain": domain}, BRIDGE_TAKES[kind])
+    place, robots = as_place(origin or SIMULATOR), load_fleet(fleet)
     with until_signal() as stop:
-        with extra("mavlink", "pymavlink"):
-            from agent.ground.bridges.mavlink import Origin, run
-        run(robots, fleet, console, port, Origin(*place), stop, typer.echo)
+        if kind == "mavlink":
+            with extra("mavlink", "pymavlink"):
+                from agent.ground.bridges.mavlink import Origin
+                from agent.ground.bridges.mavlink import run as run_mavlink
+            run_mavlink(robots, fleet, name, port or 14550, Origin(*place), stop, typer.echo)
+            return
+        from agent.ground.bridges import outward
 
-
-@bridge_app.command(epilog="Example: aucamp bridge ros2 fleet.toml")
-def ros2(
-    fleet: FleetFile,
-    name: Looker = None,
-    port: Annotated[
-        int, typer.Option(min=1024, max=65535, help="TCP port of rmw_zenoh's router on this machine.")
-    ] = 7447,
-    domain: Annotated[int, typer.Option(min=0, max=232, help="ROS_DOMAIN_ID of whoever shall hear it.")] = 0,
-) -> None:
-    """Poses, targets and pictures for ROS 2 with rmw_zenoh, until Ctrl-C. It only looks: ROS cannot order robots."""
-    robots = load_fleet(fleet)
-    with until_signal() as stop:
-        with extra("ros", "rosbags"):
-            from agent.ground.bridges.outward import run
-            from agent.ground.bridges.ros2 import Ros2
-        run(robots, fleet, name, port, Ros2(robots, domain), stop, typer.echo)
-
-
-@bridge_app.command(epilog="Example: aucamp bridge keelson fleet.toml")
-def keelson(
-    fleet: FleetFile,
-    name: Looker = None,
-    port: Annotated[int, typer.Option(min=1024, max=65535, help="TCP port of their router on this machine.")] = 7447,
-) -> None:
-    """Attitude, place, pictures and log for programs that speak keelson, until Ctrl-C. It only looks."""
-    robots = load_fleet(fleet)
-    with until_signal() as stop:
-        with extra("keelson", "keelson"):
-            from agent.ground.bridges.keelson import Keelson
-            from agent.ground.bridges.outward import run
-        run(robots, fleet, name, port, Keelson(robots), stop, typer.echo)
+        language: outward.Language
+        if kind == "ros2":
+            with extra("ros", "rosbags"):
+                from agent.ground.bridges.ros2 import Ros2
+            language = Ros2(robots, domain or 0)
+        else:
+            with extra("keelson", "keelson"):
+                from agent.ground.bridges.keelson import Keelson
+            language = Keelson(robots)
+        outward.run(robots, fleet, name, port or 7447, language, stop, typer.echo)
 
 
 # --- board ---
-# `aucamp board`.
-
-board_app = typer.Typer(no_args_is_help=True, help="Orders to a robot's control module, whose agent does not run.")
+# Orders to a robot's control module, whose agent does not run.
 
 
-@board_app.callback()
-def board() -> None:
-    """A group, though it has one command."""
-
-
-@board_app.command("reboot", epilog="Example: aucamp board reboot fleet.toml --robot r1")
-def board_reboot(fleet: FleetFile, robot: RobotName) -> None:
-    """Begin anew: what latched it (watchdog, emergency stop at the bench) is over, what was set and not saved is lost.
+@app.command(no_args_is_help=True, epilog="Example: aucamp board reboot fleet.toml --robot r1")
+def board(
+    order: Annotated[Literal["reboot"], typer.Argument(help="What its control module shall do.")],
+    fleet: FleetFile,
+    robot: RobotName,
+) -> None:
+    """Begin a control module anew, whose agent does not run: what latched it (watchdog, emergency stop at the bench) is
+    over, what was set and not saved is lost.
 
     Look at the robot first: it was latched for a reason. Refused while its motors are on.
     """

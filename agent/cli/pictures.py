@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import typer
 
 from agent.core.config import ConfigError
-from agent.process.command import FleetFile, RobotName, terminal
+from agent.process.command import refuse_options, terminal
 
 app = typer.Typer()
-train_app = typer.Typer(no_args_is_help=True, help="Train what the robots see with.")
-app.add_typer(train_app, name="train")
 
 # Of enhance.Variant, whose file loads OpenCV and numba.
 Variant = Literal["plain", "folded", "fast", "classic", "auto"]
@@ -41,20 +40,21 @@ def track(
     box: Annotated[
         str | None, typer.Option(help="Around the thing in the first picture: X,Y,W,H in pixels; else --truth's.")
     ] = None,
-    backbone: Annotated[Path | None, typer.Option(help="NanoTrack V2's backbone (ONNX).")] = None,
-    neck: Annotated[Path | None, typer.Option(help="NanoTrack V2's neck and head (ONNX).")] = None,
+    nanotrack: Annotated[
+        tuple[Path, Path] | None,
+        typer.Option(metavar="BACKBONE NECK", help="NanoTrack V2's two files (ONNX); else a correlation filter."),
+    ] = None,
     frames: Annotated[int | None, typer.Option(min=1, help="How many; a camera needs it.")] = None,
     out: Annotated[Path | None, typer.Option(help="Pictures with the box: new folder, or .mp4, .avi.")] = None,
     truth: Annotated[Path | None, typer.Option(help="CSV of boxes that are right: says how well it follows.")] = None,
     rate: Annotated[
         float | None, typer.Option(min=0.1, help="Pictures a second, for --truth; the video's own, or 30.")
     ] = None,
-    result: Annotated[Path | None, typer.Option(help="Figures of --truth; else result.json in --out or runs/.")] = None,
 ) -> None:
     """Follow what is in a box; a line per picture says where it is, how sure, and whether it is lost."""
     from agent.tools.track import Asked, run
 
-    raise typer.Exit(0 if run(source, Asked(box, backbone, neck, frames, out, truth, rate, result), typer.echo) else 1)
+    raise typer.Exit(0 if run(source, Asked(box, nanotrack, frames, out, truth, rate), typer.echo) else 1)
 
 
 @app.command("tags", epilog="Example: aucamp tags photographs/ --calibration calibration/r1.toml --out seen")
@@ -102,8 +102,8 @@ def enhance(
     raise typer.Exit(enhance_source.run(source, out, side_by_side, variant, weights, frames, terminal()))
 
 
-@train_app.command("enhance", epilog="Example: aucamp train enhance --out lu2net.safetensors --seed 0")
-def train_enhance(
+@app.command(epilog="Example: aucamp train --out lu2net.safetensors --seed 0")
+def train(
     pairs: Annotated[
         tuple[Path, Path] | None,
         typer.Option(metavar="RAW REFERENCE", help="Folders of pairs to train on instead of pairs of our own making."),
@@ -127,99 +127,116 @@ def train_enhance(
         import torch
     except ImportError as error:
         raise ConfigError("training needs torch: in your clone: pip install -e '.[train]'") from error
-    from agent.tools.train_enhance import cross_validation, plan_of, train
+    from agent.tools import train_enhance
 
     torch.set_flush_denormal(True)  # else a vanishing gain costs a hundred times its worth
-    plan = plan_of(steps, seed, start is not None, pairs is not None)
+    plan = train_enhance.plan_of(steps, seed, start is not None, pairs is not None)
     if cross_validate is not None and pairs is not None and start is not None:
-        cross_validation(pairs, start, plan, cross_validate, terminal())
+        train_enhance.cross_validation(pairs, start, plan, cross_validate, terminal())
     else:
-        train(pairs, out, plan, start, resume, everything, terminal())
+        train_enhance.train(pairs, out, plan, start, resume, everything, terminal())
 
 
 # --- calibrate ---
-# `aucamp calibrate`.
+# `aucamp calibrate KIND`.
 
-calibrate_app = typer.Typer(no_args_is_help=True, help="Measure what a camera's lens and gimbal really do.")
-
-
-@calibrate_app.command("run", epilog="Example: aucamp calibrate run fleet.toml --robot r1 --out calibration/r1.toml")
-def calibrate_run(
-    fleet: FleetFile,
-    robot: RobotName,
-    out: Annotated[Path | None, typer.Option(help="File to write; the fleet file's own if not given.")] = None,
-) -> None:
-    """Board at known distances, one focus sweep each, then the gimbal; on the twin's bench for a `twin:` camera."""
-    from agent.tools.bench_calibration import run
-
-    run(fleet, robot, out, terminal())
+Kind = Literal["run", "focus", "camera", "gamma", "body", "landmarks"]
+CALIBRATE_TAKES: dict[Kind, tuple[str, ...]] = {
+    "run": ("--robot",),
+    "focus": (),
+    "camera": ("--board",),
+    "gamma": (),
+    "body": (),
+    "landmarks": ("FLEET", "--calibration", "--known", "--no-flat", "--lens", "--frames"),
+}
 
 
-@calibrate_app.command("focus", epilog="Example: aucamp calibrate focus table.csv --out calibration/r1.toml")
-def calibrate_focus(
-    table: Annotated[Path, typer.Argument(metavar="TABLE", help="CSV with the columns u_mm and code.")],
-    out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[focus] is to be written.")] = None,
-) -> None:
-    """Range against sharpest lens position, from a table measured by hand; a plot beside it and a verdict."""
-    from agent.tools.focus_calibration import run
-
-    run(table, out, terminal())
-
-
-@calibrate_app.command("camera", epilog="Example: aucamp calibrate camera photographs/ --out calibration/r1.toml")
-def calibrate_camera(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Photographs of a chessboard, taken in water.")],
-    columns: Annotated[int, typer.Option(min=3, help="Inner corners of the board along its longer side.")] = 14,
-    rows: Annotated[int, typer.Option(min=3, help="Inner corners along its shorter side.")] = 9,
-    square_mm: Annotated[float, typer.Option(min=0.1, help="Side of a square.")] = 20.0,
-    out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[camera] is to be written.")] = None,
-) -> None:
-    """Focal length and centre from photographs of a board."""
-    from agent.tools.camera_calibration import calibrate_camera as run
-
-    run(folder, columns, rows, square_mm, out, terminal())
-
-
-@calibrate_app.command("gamma", epilog="Example: aucamp calibrate gamma blurred/ --out calibration/r1.toml")
-def calibrate_gamma(
-    folder: Annotated[Path, typer.Argument(metavar="DIR", help="Pictures of AprilTags, out of focus.")],
-    out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[camera] gets the gamma.")] = None,
-) -> None:
-    """How the camera codes light, from how lopsided it shows blurred edges."""
-    from agent.tools.camera_calibration import calibrate_gamma as run
-
-    run(folder, out, terminal())
-
-
-@calibrate_app.command("body", epilog="Example: aucamp calibrate body runs/trial/r1.mcap --out calibration/r1.toml")
-def calibrate_body(
-    recording: Annotated[Path, typer.Argument(metavar="FILE", help="Black box of a robot with behaviour 'trial'.")],
-    out: Annotated[Path | None, typer.Option(help=r"Calibration file whose table \[body] is to be written.")] = None,
-) -> None:
-    """Mass, inertia and drag of a robot that swims, from the recording of a trial."""
-    from agent.tools.body_calibration import run
-
-    run(recording, out, terminal())
-
-
-@calibrate_app.command(
-    "landmarks", epilog="Example: aucamp calibrate landmarks film.mp4 fleet.toml --calibration r1.toml --known 0"
-)
-def calibrate_landmarks(
-    source: Annotated[str, typer.Argument(help="Video, folder of pictures, a dive's folder or recording of a robot.")],
-    fleet: FleetFile,
+@app.command(no_args_is_help=True, epilog="Example: aucamp calibrate run fleet.toml --robot r1")
+def calibrate(
+    kind: Annotated[Kind, typer.Argument(help="What is measured.")],
+    source: Annotated[str, typer.Argument(metavar="SOURCE", help="What it is measured from, as above.")],
+    fleet: Annotated[
+        Path | None, typer.Argument(metavar="[FLEET]", help="landmarks: the fleet file that lists the tags.")
+    ] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help=r"File whose table is written, such as \[focus]; run: the fleet file's own if not given."),
+    ] = None,
+    robot: Annotated[str | None, typer.Option(help="run: which robot of the fleet file.")] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(
+            metavar="COLUMNSxROWSxMM",
+            help="camera: inner corners both ways and side of a square; 14x9x20 if not given.",
+        ),
+    ] = None,
     calibration: Annotated[
-        Path | None, typer.Option(help="Calibration file of the camera that filmed; recordings have their own.")
+        Path | None, typer.Option(help="landmarks: of the camera that filmed; recordings have their own.")
     ] = None,
     known: Annotated[
-        list[int] | None, typer.Option(help="Tag whose place in the fleet file counts; all of them if none is given.")
+        list[int] | None,
+        typer.Option(help="landmarks: a tag whose place in the file counts; again for more; else all."),
     ] = None,
-    flat: Annotated[bool, typer.Option(help="Whether tags are glued flat to walls and floor.")] = True,
-    lens: Annotated[int | None, typer.Option(help="Lens position of all pictures, if it is known.")] = None,
-    frames: Annotated[int | None, typer.Option(min=1, help="Of a film, at most so many.")] = None,
-    out: Annotated[Path | None, typer.Option(help=r"File for the table \[landmarks]; printed if not given.")] = None,
+    no_flat: Annotated[
+        bool, typer.Option("--no-flat", help="landmarks: tags are not glued flat to walls and floor.")
+    ] = False,
+    lens: Annotated[int | None, typer.Option(help="landmarks: lens position of all pictures, if it is known.")] = None,
+    frames: Annotated[int | None, typer.Option(min=1, help="landmarks: how many pictures; a camera needs it.")] = None,
 ) -> None:
-    """Where the tags of a tank are, from a film of them, and how well each is known."""
-    from agent.tools.tag_map import Asked, run
+    """Measure what a camera, a body or a tank really is; each kind writes its own table of a file.
 
-    run(source, fleet, Asked(calibration, tuple(known or ()), flat, lens, frames, out), terminal())
+    \b
+    run FLEET               lens and gimbal: a board at known distances, focus
+                            swept; on the twin's bench for a twin's camera
+    focus TABLE             range against lens position: CSV with u_mm, code
+    camera DIR              focal length and centre: photographs of a
+                            chessboard, taken in water
+    gamma DIR               how it codes light: AprilTags out of focus
+    body RECORDING          mass, inertia, drag of a robot that swam a trial
+    landmarks SOURCE FLEET  where a tank's tags are: a film, a folder of
+                            pictures, a dive or a robot's recording
+    """
+    given: dict[str, object] = {"FLEET": fleet, "--robot": robot, "--board": board, "--calibration": calibration}
+    given |= {"--known": known or None, "--no-flat": no_flat, "--lens": lens, "--frames": frames}
+    refuse_options(f"calibrate {kind}", given, CALIBRATE_TAKES[kind])
+    if kind == "run":
+        from agent.tools import bench_calibration
+
+        if robot is None:
+            raise ConfigError("calibrate run: say which robot with --robot")
+        bench_calibration.run(Path(source), robot, out, terminal())
+    elif kind == "focus":
+        from agent.tools import focus_calibration
+
+        focus_calibration.run(Path(source), out, terminal())
+    elif kind == "camera":
+        from agent.tools import camera_calibration
+
+        camera_calibration.calibrate_camera(Path(source), *as_board(board or "14x9x20"), out, terminal())
+    elif kind == "gamma":
+        from agent.tools import camera_calibration
+
+        camera_calibration.calibrate_gamma(Path(source), out, terminal())
+    elif kind == "body":
+        from agent.tools import body_calibration
+
+        body_calibration.run(Path(source), out, terminal())
+    else:
+        from agent.tools import tag_map
+
+        if fleet is None:
+            raise ConfigError("calibrate landmarks: say which fleet file lists the tags, after the source")
+        asked = tag_map.Asked(calibration, tuple(known or ()), not no_flat, lens, frames, out)
+        tag_map.run(source, fleet, asked, terminal())
+
+
+def as_board(text: str) -> tuple[int, int, float]:
+    """COLUMNSxROWSxMM: inner corners along the longer and the shorter side, side of a square. Raises ConfigError."""
+    try:
+        columns, rows, square = text.split("x")
+        board = int(columns), int(rows), float(square)
+    except ValueError:
+        board = 0, 0, 0.0
+    if not (min(board[:2]) >= 3 and 0.1 <= board[2] < math.inf):
+        raise ConfigError(f"--board '{text}': write inner corners both ways and mm of a square's side, such as 14x9x20")
+    return board

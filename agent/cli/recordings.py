@@ -6,13 +6,23 @@ import json
 from enum import StrEnum
 from itertools import count
 from pathlib import Path
-from typing import Annotated, get_args
+from typing import Annotated, Literal, get_args
 
 import msgspec
 import typer
 
 from agent.core.config import ConfigError
-from agent.process.command import FleetFile, Recordings, Runs, complain, new_file, plain_console, run_folder, terminal
+from agent.process.command import (
+    FleetFile,
+    Recordings,
+    Runs,
+    complain,
+    new_file,
+    plain_console,
+    refuse_options,
+    run_folder,
+    terminal,
+)
 from agent.robot.fleet_reader import load_fleet
 
 app = typer.Typer(no_args_is_help=True, help="Look into recordings.")
@@ -43,16 +53,17 @@ def replay_check(
     as_json: Annotated[bool, typer.Option("--json", help="For programs.")] = False,
     ignore: Annotated[Path | None, typer.Option(help="Fields that may differ (TOML).")] = None,
     vision: Annotated[bool, typer.Option("--vision", help="See the recorded frames again instead.")] = False,
-    update: Annotated[bool, typer.Option("--update", help="Accept what today's code gives; needs --reason.")] = False,
-    reason: Annotated[str, typer.Option(help="Why the outputs may change; goes into the file.")] = "",
+    update: Annotated[
+        str | None, typer.Option(metavar="REASON", help="Accept what today's code gives; why goes into the file.")
+    ] = None,
 ) -> None:
     """Does today's code do what the recording says? Byte for byte; exit 1 if not, 2 if it cannot be checked."""
     from replay.check.check import check, text, update_recordings
     from replay.files.recover import auto_recovered
 
     bar = plain_console(stderr=True)
-    if update:
-        for updated in update_recordings(paths, reason):
+    if update is not None:
+        for updated in update_recordings(paths, update):
             typer.echo(str(updated))
         return
     paths = auto_recovered(paths, complain)
@@ -126,40 +137,34 @@ export_app = typer.Typer()
 
 @export_app.command(
     "export",
-    epilog="Example: aucamp export runs/20260101T120000Z --csv --out tables",
+    epilog="Example: aucamp export csv runs/20260101T120000Z --out tables",
 )
 def export_command(
+    kind: Annotated[
+        Literal["csv", "mp4", "jsonl"],
+        typer.Argument(help="Tables of each robot; what one robot's camera saw; each message as a line."),
+    ],
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording (MCAP).")],
-    out: Annotated[Path, typer.Option(help="New folder for --csv, new file for --mp4 (.mp4) and --json.")],
-    as_csv: Annotated[
-        bool, typer.Option("--csv", help="Tables for a spreadsheet, a file for each robot and kind.")
-    ] = False,
-    as_mp4: Annotated[bool, typer.Option("--mp4", help="What one robot's camera saw, as a film.")] = False,
-    as_json: Annotated[bool, typer.Option("--json", help="Every message as a line of JSON.")] = False,
+    out: Annotated[Path, typer.Option(help="New folder for csv, new file for mp4 and jsonl.")],
     robot: Annotated[str | None, typer.Option(help="Only this robot.")] = None,
-    channel: Annotated[
-        list[str] | None, typer.Option(help="With --json: only this channel; may be given several times.")
-    ] = None,
+    channel: Annotated[list[str] | None, typer.Option(help="jsonl: only this channel; again for more.")] = None,
 ) -> None:
     """A recording for other programs: tables, a film, or lines of JSON."""
     from replay.export import write_film, write_lines, write_tables
     from replay.files.recover import auto_recovered
 
-    if as_csv + as_mp4 + as_json != 1:
-        raise ConfigError("say what to write: one of --csv, --mp4 and --json")
-    if channel and not as_json:
-        raise ConfigError("--channel is for --json: tables and films have their own choice")
-    if as_mp4 and out.suffix != ".mp4":
+    refuse_options(f"export {kind}", {"--channel": channel or None}, ("--channel",) if kind == "jsonl" else ())
+    if kind == "mp4" and out.suffix != ".mp4":
         raise ConfigError(f"--out {out}: a film's name ends in .mp4")
-    if not as_csv:
+    if kind != "csv":
         new_file(out)
     elif out.exists():
         run_folder(out)  # empty, or it says so
     (there,) = auto_recovered([run], complain)
-    if as_csv:
+    if kind == "csv":
         files = write_tables(there, out, robot)
         said = f"{len(files)} tables written to {out}"
-    elif as_mp4:
+    elif kind == "mp4":
         said = f"{write_film(there, out, robot)} frames written to {out}"
     else:
         said = f"{write_lines(there, out, robot, channel or [])} lines written to {out}"

@@ -166,7 +166,7 @@ def _has_its_targets(fleet: Fleet, path: Path) -> None:
         if target.picture is not None:
             target_picture(name, target, (fleet.camera.width_px, fleet.camera.height_px))
         if target.models is not None:
-            load_box_tracker(*model_files(Path(target.models)))
+            load_box_tracker(model_files(Path(target.models)))
 
 
 # --- endpoints ---
@@ -241,7 +241,6 @@ def demo(
     loss: float | None,
     seed: int | None,
     duration_s: float,
-    enhance: bool | None,
     out: Path | None,
     console: Console,
     fleet_name: str = "tank",
@@ -251,7 +250,7 @@ def demo(
 ) -> tuple[Path, dict[str, Any]]:
     """Run the experiment; returns its folder and the content of summary.json. Raises ConfigError and Failed.
 
-    `robots`, `protocol`, `loss`, `seed`, `enhance`: see demo_fleet. `fleet_name`: a fleet file, or the name of one that
+    `robots`, `protocol`, `loss`, `seed`: see demo_fleet. `fleet_name`: a fleet file, or the name of one that
     comes with the package. `speed`: of the dive's clock against the wall's, at most. `page`: with a page to look at it
     and to order, until whoever looks has seen enough.
 
@@ -263,7 +262,7 @@ def demo(
     file = fleet_file(fleet_name)
     with ExitStack() as stack:
         folder = stack.enter_context(temporary_folder())
-        fleet = demo_fleet(robots, protocol, loss, seed, enhance, folder, file)
+        fleet = demo_fleet(robots, protocol, loss, seed, None, folder, file)
         own = load_fleet(file)
         wished = ["tcp/" + own.robot[name].listen.partition("/")[2] for name in fleet.robot]
         fleet = listening(fleet, stack.enter_context(reserved(wished)))

@@ -18,6 +18,7 @@ from matplotlib.figure import Figure
 from rich.console import Group
 from rich.table import Table
 
+from agent.core.config import ConfigError
 from agent.experiments.experiment import ExperimentResult, Figures, FollowingPolicy, Row, Task, all_draws
 from agent.experiments.following_dive import FLEET, WATCH_S, Case, Draw, all_cases, dive
 from agent.experiments.navigation.basin import TANK
@@ -208,6 +209,10 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     seeds: int = ENOUGH
     only: FollowingPolicy | None = None  # this policy; none: all
     robots: int | None = None  # fleets of that size; none: all
+
+    def __post_init__(self) -> None:
+        if not all_cases(self.only, self.robots):
+            raise ConfigError("no such case: share has 1, 2, 3 or 5 robots, silent and moored have 3")
 
 
 class Result(ExperimentResult, frozen=True, kw_only=True):

@@ -160,7 +160,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
     seed: int = 0
     scenes: int = 4  # fleets of each size in each water
-    draws: int = 6  # sweeps of each robot in each light
+    draws: int = 5  # sweeps of each robot in each light
     waters: tuple[str, ...] = tuple(WATERS)
 
 

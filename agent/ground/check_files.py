@@ -207,7 +207,7 @@ def box_target(name: str, target: Target, size: tuple[int, int]) -> str:
     """Raises ConfigError, as the agent does at its start."""
     target_picture(name, target, size)
     check_box(Box(*(target.box or (0, 0, 0, 0))), size)
-    load_box_tracker(*((None, None) if target.models is None else model_files(Path(target.models))))
+    load_box_tracker(None if target.models is None else model_files(Path(target.models)))
     return f"its picture is {target.picture}"
 
 

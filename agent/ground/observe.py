@@ -192,8 +192,8 @@ class Recorded(NamedTuple):
     failed: list[str]
 
 
-def record_fleets(paths: Sequence[Path], out: Path, stop: Event, say: Say, views: bool) -> Recorded:
-    """Record until `stop` is set; `say` gets lines meanwhile.
+def record_fleets(paths: Sequence[Path], out: Path, stop: Event, say: Say, views: bool = True) -> Recorded:
+    """Record until `stop` is set; `say` gets lines meanwhile, `views` adds channels for viewers.
 
     Of several fleets one that cannot be recorded any longer ends no other's recording. Raises ConfigError for files and
     folders that cannot be used, and where the only fleet cannot be recorded.

@@ -261,7 +261,6 @@ def run(
     arm: bool,
     stop: Event,
     lossless: bool = False,
-    views: bool = True,
     behaviour: str | None = None,
     doubts: Callable[[Fleet], str | None] = lambda fleet: None,
 ) -> None:
@@ -269,7 +268,7 @@ def run(
     moves.
 
     With `arm` the motors start once the control module agrees; without it everything else works and they stay off.
-    `lossless` records frames bit by bit, `views` adds channels for viewers to the recording. `behaviour`: what the
+    `lossless` records frames bit by bit. `behaviour`: what the
     robot does in place of what the file says, as the file would say it. `doubts`: what will go wrong though it starts.
     """
     setup = load_setup(fleet_path, name, behaviour)
@@ -280,7 +279,7 @@ def run(
     with ExitStack() as stack:
         stack.enter_context(recovering(torn_files((out or Path()) / f"{name}.mcap")))
         process = AgentProcess(setup, stack, stop)
-        process.open_links(out or Path(), lossless, views)
+        process.open_links(out or Path(), lossless)
         process.open_eyes()
         process.open_module(arm)
         motors = "motors start when the control module agrees" if arm else "motors stay off (--arm starts them)"
@@ -318,14 +317,14 @@ class AgentProcess:
         self._incarnation = self._clock.now_ns()
         self._agent = Agent(setup.fleet, setup.name, setup.calibration, self._incarnation)
 
-    def open_links(self, out: Path, lossless: bool, views: bool) -> None:
+    def open_links(self, out: Path, lossless: bool) -> None:
         """Links to the neighbours, then the recording: a start that fails leaves none. The links close first."""
         fleet, name, calibration = self._setup.fleet, self._setup.name, self._setup.calibration
         with ExitStack() as links:
             self._link = links.enter_context(Transport(fleet, name, self._clock.now_ns, self._setup.certificates))
             facts = run_facts(fleet, name, self._incarnation)
             self.log = self._stack.enter_context(
-                black_box_log(out, fleet, name, calibration, facts, views, sweep_depth)
+                black_box_log(out, fleet, name, calibration, facts, views=True, depth=sweep_depth)
             )
             self._stack.push(links.pop_all())
         self._box = BlackBoxWriter(self.log, name, self._clock.now_ns, lossless, RateNotes(self._clock))

@@ -11,7 +11,7 @@ import math
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping
 from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
@@ -200,7 +200,6 @@ def with_pictures(fleet: Fleet, folder: Path) -> Fleet:
 FleetFile = Annotated[Path, typer.Argument(metavar="FLEET", help="Fleet file (TOML).")]
 FleetFiles = Annotated[list[Path], typer.Argument(metavar="FLEET...", help="Fleet file (TOML), or several.")]
 RobotName = Annotated[str, typer.Option("--robot", help="Which robot of the fleet file.")]
-Seed = Annotated[int, typer.Option(min=0, help="Which world of the twin.")]
 Port = Annotated[int, typer.Option(min=1024, max=65535, help="WebSocket port on this machine.")]
 Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (MCAP).")]
 Runs = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Folders of runs, or recordings (MCAP).")]
@@ -224,6 +223,16 @@ Speed = Annotated[
     float,
     typer.Option(parser=as_speed, metavar="NUMBER|max", help="Seconds of the dive in one of the wall, at most."),
 ]
+
+
+def refuse_options(command: str, given: Mapping[str, object], takes: Collection[str]) -> None:
+    """Raises ConfigError for an option that was given to a command of one kind and is for another kind.
+
+    `given`: the value of each option by its name; None, False and an empty list: it was not given.
+    """
+    for option, value in given.items():
+        if option not in takes and value is not None and value is not False and value != []:
+            raise ConfigError(f"{command}: takes no {option}; leave it out")
 
 
 def complain(line: str) -> None:

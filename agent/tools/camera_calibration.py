@@ -97,9 +97,7 @@ def intrinsics(folder: Path, columns: int, rows: int, square_mm: float, progress
         [board] * len(found), found, size, start, np.zeros(5), flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS
     )
     if residual > MAX_RESIDUAL_PX:
-        raise ConfigError(
-            f"{folder}: corners miss by {residual:.1f} px; check --columns, --rows, --square-mm and the focus"
-        )
+        raise ConfigError(f"{folder}: corners miss by {residual:.1f} px; check --board and the focus")
     return Intrinsics(
         *size,
         float(matrix[0, 0]),

@@ -212,7 +212,7 @@ def write_score(score: Score, path: Path) -> None:
     try:
         path.write_text(json.dumps(score._asdict(), indent=1) + "\n", encoding="utf-8")
     except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}; give --result another place") from None
+        raise ConfigError(f"{path}: cannot be written: {error.strerror}; give --out another place") from None
 
 
 def table(score: Score) -> Table:
@@ -244,13 +244,11 @@ class Asked(NamedTuple):
     """The options of `aucamp track`."""
 
     box: str | None = None  # X,Y,W,H; None: the truth's first
-    backbone: Path | None = None
-    neck: Path | None = None
+    nanotrack: tuple[Path, Path] | None = None  # backbone and neck; None: a correlation filter
     frames: int | None = None
     out: Path | None = None
     truth: Path | None = None
     rate_hz: float | None = None
-    result: Path | None = None
 
 
 def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
@@ -264,11 +262,9 @@ def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
     if asked.box is None and not truth:
         raise ConfigError("track: say what to follow, with --box X,Y,W,H or with --truth FILE")
     drawn = first_box(truth) if asked.box is None else parse_box(asked.box)
-    follower = Follower(load_box_tracker(asked.backbone, asked.neck))
+    follower = Follower(load_box_tracker(asked.nanotrack))
     if asked.out is not None:
         check_out(asked.out)
-    if asked.result is not None:
-        new_file(asked.result)
     found = pictures(source, asked.frames)
     if found.kind == "images" and asked.frames is None:
         check_rows(truth, found.total or 0)
@@ -320,9 +316,6 @@ def line(picture: Picture, now: Followed) -> str:
 
 
 def result_file(asked: Asked) -> Path:
-    """Where the figures go: the file that was asked for, else result.json in the folder of the pictures, else in
-    runs/<UTC>. Raises ConfigError."""
-    if asked.result is not None:
-        return asked.result
+    """Where the figures go: result.json in the folder of the pictures, else in runs/<UTC>. Raises ConfigError."""
     folder = asked.out if asked.out is not None and asked.out.is_dir() else run_folder(None)
     return folder / "result.json"

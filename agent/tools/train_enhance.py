@@ -1,4 +1,4 @@
-"""`aucamp train enhance`: pairs of our own making or of yours -> weights, their hash, curves and a checkpoint."""
+"""`aucamp train`: pairs of our own making or of yours -> weights, their hash, curves and a checkpoint."""
 
 from __future__ import annotations
 

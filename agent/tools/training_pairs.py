@@ -387,7 +387,7 @@ def check(
     if cross_validate is not None and (pairs is None or start is None):
         raise ConfigError("--cross-validate needs --pairs RAW REFERENCE and --start WEIGHTS")
     if start is not None and not start.is_file():
-        raise ConfigError(f"{start}: no such file; give weights that `aucamp train enhance` wrote, hash beside")
+        raise ConfigError(f"{start}: no such file; give weights that `aucamp train` wrote, hash beside")
     if out is not None and cross_validate is None:
         if out.suffix != ENDS_IN:
             raise ConfigError(f"{out}: give --out a name that ends in {ENDS_IN}")

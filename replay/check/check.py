@@ -394,7 +394,7 @@ def update_recordings(paths: Iterable[Path], reason: str) -> list[Updated]:
     """
     boxes = open_boxes(paths)
     if not reason.strip():
-        raise ConfigError("--update needs --reason: one sentence on why the robots now behave differently")
+        raise ConfigError("--update needs a reason: one sentence on why the robots now behave differently")
     for box in boxes:
         if box.schema != SCHEMA:
             raise ConfigError(f"{box.path}: recorded with schema {box.schema}; it stays the reference for that one")

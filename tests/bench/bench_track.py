@@ -19,7 +19,7 @@ def run() -> dict[str, dict]:
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
-        filter_s, filter_iou, held = follow((None, None))
+        filter_s, filter_iou, held = follow(None)
         nano_s, nano_iou, nano_held = follow(model_files(MODELS)) if MODELS.is_dir() else (None, None, None)
         search_s = search_whole()
     finally:
@@ -36,9 +36,9 @@ def run() -> dict[str, dict]:
     return rows
 
 
-def follow(files: tuple[Path | None, Path | None]) -> tuple[float, float, int]:
+def follow(files: tuple[Path, Path] | None) -> tuple[float, float, int]:
     """Median seconds a frame, mean overlap while it is followed, frames in which it claims what is not there."""
-    follower, times, overlaps, held = Follower(load_box_tracker(*files)), [], [], 0
+    follower, times, overlaps, held = Follower(load_box_tracker(files)), [], [], 0
     for k, (image, box) in enumerate(clip(FRAMES, GONE)):
         if k == 0:
             follower.start(image, Box(*box))

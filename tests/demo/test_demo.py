@@ -245,7 +245,7 @@ def test_what_cannot_dive_or_be_judged_is_one_line_and_leaves_nothing(
     (tmp_path / "here").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     with pytest.raises(ConfigError, match=message) as caught:
-        demo(robots, "evidence", 0.0, 0, 1.0, False, None, Console(file=io.StringIO()), str(file))
+        demo(robots, "evidence", 0.0, 0, 1.0, None, Console(file=io.StringIO()), str(file))
     assert "\n" not in str(caught.value)
     assert not list(Path().iterdir())
 

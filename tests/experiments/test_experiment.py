@@ -3,9 +3,11 @@
 import io
 import json
 import math
+from importlib import import_module
 from pathlib import Path
 from typing import get_args
 
+import msgspec
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -16,7 +18,7 @@ from agent.capabilities.swim.landmarks import markers
 from agent.capabilities.swim.plane_odometry import odometry
 from agent.capabilities.swim.projection import view
 from agent.capabilities.swim.tag_fix import Map, priors, tag_fix, whole
-from agent.cli.experiments import app
+from agent.cli.experiments import EXPERIMENTS, OWN_PICTURES, Experiment, app, parts
 from agent.core.attitude import Attitude
 from agent.core.config import ConfigError, Pose
 from agent.core.linear_algebra import wrap
@@ -299,8 +301,6 @@ def test_tables_and_figures() -> None:
 # --- perform ---
 # What every verb of `aucamp experiment` does with its experiment: folder, bar, result.json, figures, table.
 
-VERBS = [command.name for command in app.registered_commands]
-
 
 class Found(ExperimentResult, frozen=True, kw_only=True):
     schema: int = 1
@@ -342,7 +342,7 @@ def test_the_answer_no_is_said_when_all_is_written_and_is_exit_code_1(tmp_path: 
     assert len(list(tmp_path.iterdir())) == 3 and "table" in console.file.getvalue()
 
 
-@pytest.mark.parametrize("verb", VERBS)
+@pytest.mark.parametrize("verb", EXPERIMENTS)
 def test_a_folder_with_a_result_is_left_alone(verb: str, tmp_path: Path) -> None:
     (tmp_path / "result.json").write_text("{}")
     done = CliRunner().invoke(app, [verb, "--out", str(tmp_path)])
@@ -350,6 +350,28 @@ def test_a_folder_with_a_result_is_left_alone(verb: str, tmp_path: Path) -> None
     assert "not empty, and nothing is overwritten; give --out a new folder" in str(done.exception)
     assert [path.name for path in tmp_path.iterdir()] == ["result.json"]
     assert (tmp_path / "result.json").read_text() == "{}"
+
+
+@pytest.mark.parametrize("which", [*EXPERIMENTS.values(), OWN_PICTURES], ids=lambda which: which.module)
+def test_options_become_settings_that_the_experiment_has(which: Experiment) -> None:
+    module = import_module(f"agent.experiments.{which.module}")
+    fields = {which.seeds or "seed", *(part.field for part in which.only), *(["quick"] if which.quick else [])}
+    if which is not OWN_PICTURES:
+        assert fields | {"seed"} <= set(module.Settings.__struct_fields__)
+        assert module.Settings(seed=3).seed == 3
+    for part in which.only:
+        for name in part.names:
+            asked = parts("x", which, [name])
+            assert list(asked) == [part.field]
+            msgspec.convert({"seed": 0, **asked}, module.Settings, strict=False)
+    assert callable(module.run) and callable(module.table)
+
+
+def test_what_only_names_is_kept_by_its_kind() -> None:
+    scenes = parts("reconstruction", EXPERIMENTS["reconstruction"], ["coastal", "scenes", "tap", "exact"])
+    assert scenes == {"only": "scenes", "waters": ("tap", "coastal"), "poses": ("exact",)}
+    assert parts("following", EXPERIMENTS["following"], ["share", "3"]) == {"only": "share", "robots": "3"}
+    assert parts("lighting", EXPERIMENTS["lighting"], []) == {}
 
 
 def test_names_that_may_be_given_are_those_of_the_twin() -> None:

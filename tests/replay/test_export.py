@@ -114,7 +114,7 @@ def test_a_torn_recording_is_mended_first_and_nothing_is_overwritten(tmp_path: P
     torn = tmp_path / "r1.mcap.active"
     torn.write_bytes((GOLDEN / "torn" / "r1.mcap.active").read_bytes())
     out = tmp_path / "r1.jsonl"
-    command = ["export", str(torn), "--json", "--out", str(out)]
+    command = ["export", "jsonl", str(torn), "--out", str(out)]
     done = CliRunner().invoke(app, command)
     assert done.exit_code == 0, done.output
     assert "was torn, mended as" in done.output
@@ -128,14 +128,12 @@ def test_a_torn_recording_is_mended_first_and_nothing_is_overwritten(tmp_path: P
 @pytest.mark.parametrize(
     ("options", "says"),
     [
-        (["--out", "x"], "say what to write: one of --csv, --mp4 and --json"),
-        (["--csv", "--json", "--out", "x"], "say what to write"),
-        (["--csv", "--channel", "/raw/vision", "--out", "x"], "--channel is for --json"),
-        (["--mp4", "--out", "x.avi"], "a film's name ends in .mp4"),
-        (["--mp4", "--robot", "r1", "--out", "x.mp4"], "has no pictures of r1; agents record them"),
-        (["--mp4", "--out", "x.mp4"], "has pictures of r1, r2, r3; say with --robot"),
-        (["--csv", "--robot", "r9", "--out", "x"], "has nothing of a robot 'r9'; there is r1, r2, r3"),
-        (["--json", "--robot", "r9", "--out", "x"], "has no message of a robot 'r9'"),
+        (["csv", "--channel", "/raw/vision", "--out", "x"], "export csv: takes no --channel; leave it out"),
+        (["mp4", "--out", "x.avi"], "a film's name ends in .mp4"),
+        (["mp4", "--robot", "r1", "--out", "x.mp4"], "has no pictures of r1; agents record them"),
+        (["mp4", "--out", "x.mp4"], "has pictures of r1, r2, r3; say with --robot"),
+        (["csv", "--robot", "r9", "--out", "x"], "has nothing of a robot 'r9'; there is r1, r2, r3"),
+        (["jsonl", "--robot", "r9", "--out", "x"], "has no message of a robot 'r9'"),
     ],
 )
 def test_what_cannot_be_had_is_one_line_and_leaves_nothing(
@@ -143,7 +141,7 @@ def test_what_cannot_be_had_is_one_line_and_leaves_nothing(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     with pytest.raises(ConfigError, match=says) as error:
-        CliRunner().invoke(app, ["export", str(GOLDEN / "three"), *options], catch_exceptions=False)
+        CliRunner().invoke(app, ["export", options[0], str(GOLDEN / "three"), *options[1:]], catch_exceptions=False)
     assert "\n" not in str(error.value)
     assert list(tmp_path.iterdir()) == []
 

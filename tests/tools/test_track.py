@@ -75,7 +75,8 @@ MISTAKES = [
     (["pictures", "--box", "1,1,50,50", "--out", "mine.txt"], "give --out a folder, or a video that ends in .mp4 or"),
     (["pictures", "--box", "0,0,0,0", "--out", "new"], "draw it inside the 480x360 picture"),
     (["pictures", "--box", "-5,0,50,50", "--out", "new"], "draw it inside the 480x360 picture"),
-    (["pictures", "--box", "1,1,50,50", "--backbone", "x.onnx"], "both"),
+    (["pictures", "--box", "1,1,50,50", "--nanotrack", "x.onnx", "y.onnx"], "x.onnx: no such file"),
+    (["pictures", "--box", "1,1,50,50", "--nanotrack", "x.onnx"], "requires 2 arguments"),
 ]
 
 
@@ -94,13 +95,13 @@ def test_mistakes(arguments, expected, folder, tmp_path, monkeypatch, capsys):
 
 
 @pytest.mark.parametrize("models", [
-    pytest.param((None, None), id="filter"),
+    pytest.param(None, id="filter"),
     pytest.param(model_files(NANO), id="nano", marks=pytest.mark.skipif(not NANO.is_dir(), reason="no NanoTrack here")),
 ])  # fmt: skip
 @pytest.mark.parametrize("box", ["0,0,480,360", "4,4,472,352", "0,0,480,40", "0,0,8,8"])
 def test_a_box_may_be_as_large_as_the_picture_or_at_its_border(folder, models, box):
     lines = []
-    assert run(str(folder[0]), Asked(box, *models, 3), lines.append) in (True, False)
+    assert run(str(folder[0]), Asked(box, models, 3), lines.append) in (True, False)
     drawn = ",".join(f"{float(side):.1f}" for side in box.split(","))
     assert len(lines) == 4 and lines[1] == f"000.png,,{drawn},1.00,followed"
 
@@ -155,8 +156,8 @@ def test_figures_of_a_folder(tmp_path, capsys):
         cv2.imwrite(str(tmp_path / f"{k:03}.png"), image)
         rows.append(f"{k},{','.join(map(str, box))},1,1,whole" if box else f"{k},,,,,0,1,none")
     truth = write(tmp_path / "truth.csv", rows)
-    assert run(str(tmp_path), Asked(truth=truth, result=tmp_path / "result.json", rate_hz=2.0), lambda line: None)
-    found = json.loads((tmp_path / "result.json").read_text())
+    assert run(str(tmp_path), Asked(truth=truth, out=tmp_path / "out", rate_hz=2.0), lambda line: None)
+    found = json.loads((tmp_path / "out" / "result.json").read_text())
     assert set(found) >= KEYS and found["frames"] == 3 and found["on_target"] == 3 and found["mean_iou"] > 0.7
     assert found["absent"] == 0 and found["in_grace"] == 2
     assert "written to" in capsys.readouterr().err

@@ -192,7 +192,7 @@ def test_mistakes(asked, expected, tmp_path, monkeypatch):
 
 
 def test_a_mistake_is_one_line_and_said_before_torch_is_imported(tmp_path):
-    command = [sys.executable, "-X", "importtime", "-m", "agent", "train", "enhance", "--start", "nowhere"]
+    command = [sys.executable, "-X", "importtime", "-m", "agent", "train", "--start", "nowhere"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60)
     imported = [line for line in done.stderr.splitlines() if line.startswith("import time:")]
     said = [line for line in done.stderr.splitlines() if not line.startswith("import time:")]

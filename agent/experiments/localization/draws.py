@@ -38,7 +38,7 @@ from agent.experiments.localization.lockstep import (
 PROTOCOLS: tuple[Protocol, ...] = ("paper", "metropolis", "evidence")
 AT = (10, 50, 200)
 QUICK = 20  # times fewer draws
-MORE = 3  # times more draws with --full
+MORE = 3  # times more draws with `full`
 SMALL = 10  # robots; larger swarms take long
 
 

@@ -223,9 +223,7 @@ def target_picture(name: str, target: Target, size: tuple[int, int]) -> Image:
 def _box_detector(name: str, target: Target, size: tuple[int, int]) -> BoxDetector:
     assert target.box is not None  # load_fleet has seen to it
     image = target_picture(name, target, size)
-    follower = Follower(
-        load_box_tracker(*((None, None) if target.models is None else model_files(Path(target.models))))
-    )
+    follower = Follower(load_box_tracker(None if target.models is None else model_files(Path(target.models))))
     follower.expect(image, Box(*target.box))
     return BoxDetector(follower)
 

@@ -264,9 +264,7 @@ def enhancer(variant: Variant = "auto", weights: Path | None = None, budget_ms: 
     if variant == "classic":
         return Enhancer("classic", classic)
     if weights is not None and not weights.is_file():  # said before torch, whose import takes seconds
-        raise ConfigError(
-            f"{weights}: no such file; give weights that `aucamp train enhance` wrote, hash beside, or .pth"
-        )
+        raise ConfigError(f"{weights}: no such file; give weights that `aucamp train` wrote, hash beside, or .pth")
     if (lacking := missing(weights)) is not None:
         if variant != "auto" or weights is not None:
             raise ConfigError(f"--variant {variant}: {lacking}; --variant classic needs neither")

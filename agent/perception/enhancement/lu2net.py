@@ -160,7 +160,7 @@ def load(path: Path) -> LU2Net:
     try:
         net.load_state_dict(tensors)
     except RuntimeError as error:
-        raise ConfigError(f"{path}: not the weights of this network; train them with `aucamp train enhance`") from error
+        raise ConfigError(f"{path}: not the weights of this network; train them with `aucamp train`") from error
     return net.eval().to(memory_format=torch.channels_last)  # type: ignore[call-overload, no-any-return]  # as nn.Module.to has it
 
 
@@ -168,14 +168,14 @@ def _hashed(path: Path) -> dict[str, Tensor]:
     stated = hash_file(path)
     for file in (path, stated):
         if not file.is_file():
-            raise ConfigError(f"{file}: no such file; give weights that `aucamp train enhance` wrote, hash beside")
+            raise ConfigError(f"{file}: no such file; give weights that `aucamp train` wrote, hash beside")
     data = path.read_bytes()
     if stated.read_text(errors="replace").split()[:1] != [hashlib.sha256(data).hexdigest()]:
         raise ConfigError(f"{path}: does not match {stated.name}; the file is damaged, fetch or train it again")
     try:
         return load_tensors(data)
     except SafetensorError as error:
-        raise ConfigError(f"{path}: not the weights of this network; train them with `aucamp train enhance`") from error
+        raise ConfigError(f"{path}: not the weights of this network; train them with `aucamp train`") from error
 
 
 def _checkpoint(path: Path) -> dict[str, Tensor]:

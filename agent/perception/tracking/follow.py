@@ -340,16 +340,9 @@ def model_files(folder: Path) -> tuple[Path, Path]:
     return folder / BACKBONE[0], folder / NECK[0]
 
 
-def load_box_tracker(backbone: Path | None, neckhead: Path | None) -> BoxTracker:
-    """NanoTrack from two files, a correlation filter from none.
-
-    Raises ConfigError for one of two, and as load_nano does.
-    """
-    if backbone is None and neckhead is None:
-        return CorrelationTracker()
-    if backbone is None or neckhead is None:
-        raise ConfigError("NanoTrack consists of two files; give both --backbone and --neck, or neither")
-    return load_nano(backbone, neckhead)
+def load_box_tracker(nanotrack: tuple[Path, Path] | None) -> BoxTracker:
+    """NanoTrack from its two files, backbone and neck, else a correlation filter. Raises ConfigError as load_nano."""
+    return CorrelationTracker() if nanotrack is None else load_nano(*nanotrack)
 
 
 def load_nano(backbone: Path, neckhead: Path) -> Nano:

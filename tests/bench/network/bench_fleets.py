@@ -61,6 +61,19 @@ UNITS = {
 }
 
 
+# `aucamp record`, without the channels for viewers
+RECORDER = """
+import sys
+from pathlib import Path
+from agent.ground.observe import record_fleets
+from agent.process.command import complain
+from agent.process.launch import until_signal
+out, *paths = map(Path, sys.argv[1:])
+with until_signal() as stop:
+    record_fleets(paths, out, stop, complain, views=False)
+"""
+
+
 def measured(count: int, secured: bool) -> dict[str, float]:
     """One recorder of so many fleets, over COUNTED_S once all of them are heard."""
     with tempfile.TemporaryDirectory() as name:
@@ -68,10 +81,10 @@ def measured(count: int, secured: bool) -> dict[str, float]:
         paths = fleet_files(folder, count, secured)
         out = folder / "fleets" if count > 1 else folder / "fleet.mcap"
         files = [out / f"{path.stem}.mcap" for path in paths] if count > 1 else [out]
-        talkers = python("tests.bench.network.talkers", *map(str, paths))
+        talkers = python("-m", "tests.bench.network.talkers", *map(str, paths))
         time.sleep(5.0)  # until they listen: what is measured is the recorder's start, not theirs
         began_s = time.monotonic()
-        recorder = python("agent", "record", *map(str, paths), "--out", str(out), "--no-view")
+        recorder = python("-c", RECORDER, str(out), *map(str, paths))
         try:
             until(lambda: all(robots_in(active(file)) == ROBOTS for file in files), 120.0)
             ready_s = time.monotonic() - began_s
@@ -145,8 +158,8 @@ def active(path: Path) -> Path:
     return path.with_name(f"{path.name}.active")
 
 
-def python(module: str, *words: str) -> subprocess.Popen[bytes]:
-    command = [sys.executable, "-m", module, *words]
+def python(*words: str) -> subprocess.Popen[bytes]:
+    command = [sys.executable, *words]
     return subprocess.Popen(command, cwd=ROOT, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
 
 

@@ -30,7 +30,7 @@ from tests.places import DATA
 MODELS = DATA / "models" / "nanotrack_v2"
 ELSEWHERE_IOU = 0.1  # below it a box is on something else
 PARTS = {"tuned": tuned, "held_out": held_out, "anew": anew, "kept_back": kept_back}
-TRACKERS = {"filter": (None, None), "nano": model_files(MODELS)}
+TRACKERS = {"filter": None, "nano": model_files(MODELS)}
 
 
 def run(disturbance: str = "as_is", only: Sequence[str] = tuple(TRACKERS)) -> dict[str, dict]:
@@ -79,8 +79,8 @@ def rows(part: str, clips: Iterable[Clip], only: Sequence[str]) -> dict[str, dic
     return shown
 
 
-def follow(clip: Clip, files: tuple) -> list[Followed]:
-    follower, drawn = Follower(load_box_tracker(*files)), clip.truth[0].box
+def follow(clip: Clip, files: tuple | None) -> list[Followed]:
+    follower, drawn = Follower(load_box_tracker(files)), clip.truth[0].box
     assert drawn is not None
     follower.start(clip.images[0], drawn)
     return [Followed(drawn, 1.0, "followed"), *(follower.look(image) for image in clip.images[1:])]

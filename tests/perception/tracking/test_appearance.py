@@ -97,7 +97,7 @@ def around(u, v):
 
 
 def states(frames, box):
-    follower = Follower(load_box_tracker(None, None))
+    follower = Follower(load_box_tracker(None))
     follower.start(frames[0], box)
     return [follower.look(frame) for frame in frames[1:]]
 
@@ -149,7 +149,7 @@ def test_what_passes_a_look_alike_is_followed_again_and_the_look_alike_is_not(wa
 
 
 def test_two_places_that_are_equally_like_it_are_ambiguous_until_one_is_gone(water):
-    follower = Follower(load_box_tracker(None, None))
+    follower = Follower(load_box_tracker(None))
     follower.expect(picture(water, (120, 90, RED)), around(120, 90))
     two = follower.look(picture(water, (60, 60, RED), (180, 120, RED), seed=1))
     assert two.state == "ambiguous" and two.lost and two.score == 0.0

@@ -32,7 +32,7 @@ def nano():
     for line in (MODELS / "SHA256SUMS").read_text().splitlines():
         digest, name = line.split()
         assert hashlib.sha256((MODELS / name).read_bytes()).hexdigest() == digest, name
-    return load_box_tracker(BACKBONE, NECK)
+    return load_box_tracker((BACKBONE, NECK))
 
 
 class Scripted:
@@ -128,11 +128,9 @@ def test_network_files_that_are_not_nanotrack(tmp_path):
     other = tmp_path / "other.onnx"
     other.write_bytes(b"no network")
     with pytest.raises(ConfigError, match="no such file"):
-        load_box_tracker(tmp_path / "none.onnx", other)
-    with pytest.raises(ConfigError, match="both"):
-        load_box_tracker(other, None)
+        load_box_tracker((tmp_path / "none.onnx", other))
     with pytest.raises(ConfigError, match="is not nanotrack_backbone_sim"):
-        load_box_tracker(other, other)
+        load_box_tracker((other, other))
 
 
 # --- correlation ---
@@ -196,7 +194,7 @@ def around(u: int, v: int) -> Box:
 
 
 def test_it_changes_over_to_what_was_drawn_though_that_has_moved_meanwhile() -> None:
-    follower = Follower(load_box_tracker(None, None))
+    follower = Follower(load_box_tracker(None))
     follower.expect(picture((120, 90), (50, 50), 0), around(120, 90))
     detector = BoxDetector(follower)
     red, yellow = (120, 90), (50, 50)

@@ -30,7 +30,7 @@ def test_what_was_out_of_reach_when_it_was_lost_is_not_what_was_lost(water):
     """It goes from one frame to the next; what stands a little farther away than it can have got to is another."""
     dull = (60, 60, 150)  # like it, but not so much that it is known as its look-alike before
     frames = [picture(water, *([(120, 90, RED)] if k < 6 else []), (150, 92, dull), seed=k) for k in range(12)]
-    follower = Follower(load_box_tracker(None, None))
+    follower = Follower(load_box_tracker(None))
     follower.start(frames[0], around(120, 90))
     seen = [follower.look(frame) for frame in frames[1:]]
     assert all(now.state == "followed" for now in seen[:5])

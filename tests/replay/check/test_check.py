@@ -342,7 +342,7 @@ def test_nothing_is_written_where_nothing_changed(run: Path, git: Path) -> None:
 
 
 def test_it_needs_a_reason(run: Path, git: Path) -> None:
-    with pytest.raises(ConfigError, match="needs --reason"):
+    with pytest.raises(ConfigError, match="needs a reason"):
         update_recordings([run], " ")
 
 

@@ -1,6 +1,6 @@
 """The golden logs: a change of behaviour that does not update them fails here, and so does one that notices none.
 
-`aucamp replay check tests/golden/CASE --update --reason "..."` accepts a change that was meant.
+`aucamp replay check tests/golden/CASE --update "reason"` accepts a change that was meant.
 """
 
 import shutil
