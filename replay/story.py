@@ -20,6 +20,7 @@ from agent.core import topics
 from agent.core.codec import READABLE, Refusal, decode
 from agent.core.config import ConfigError
 from agent.core.messages import State, Vector
+from agent.core.robot_view import in_own_name
 from agent.core.status import fault_kind
 from agent.core.step_io import Outputs
 from replay.check.reexecute import STEP_BYTES
@@ -114,8 +115,7 @@ def _states(path: Path) -> Iterator[State]:
             if record.channel == STEP_OUT.name:
                 state = decode(record.data, Outputs, STEP_BYTES, READABLE).state
             elif row is not None and row[0] is topics.STATE:
-                state = decode(record.data, State, row[0].limit, READABLE)
-                state = state if state.robot == row[1]["robot"] else None
+                state = in_own_name(*row, record.data, READABLE)
             else:
                 continue
         except Refusal:

@@ -18,11 +18,10 @@ from agent.capabilities.survey.coverage_map import place_m, rotation
 from agent.core.capability_messages import Claim, View, holds
 from agent.core.config import Fleet
 from agent.core.messages import LampState, State
-from agent.core.status import fault_kind
+from agent.core.robot_view import robot_view
 from agent.core.topics import EVERY_FLEET
 from agent.demo.summary import EACH_SEES, ONE_SEES, PASS_PERCENT, SIGMAS, Histories, SurveyWatch
 from agent.process.certificates import CONSOLE_FILE
-from agent.process.command import hears
 from agent.process.keys import VARIABLE
 
 FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and the reason is cut off
@@ -92,16 +91,16 @@ def progress_row(state: State | None) -> tuple[str, ...]:
     """The cells behind target and robot."""
     if state is None:
         return ("…",)
+    view = robot_view(state)
     return (
         state.knows,
         str(state.t),
         "-" if state.acquired_t is None else str(state.acquired_t),
         " ".join(f"{1e3 * x:.1f}" for x in state.posterior_m) if state.posterior_m else "-",
         f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "-",
-        " ".join(hears(state)) or "-",
+        " ".join(view.hears) or "-",
         *((whose_light(state.robot, state.lamp),) if state.lamp else ()),
-        ", ".join((*map(fault_kind, state.faults), *(state.ordered or ())))
-        or ("motors off" if state.armed is False else ""),
+        ", ".join(view.remarks),
     )
 
 
@@ -262,8 +261,8 @@ def shown(state: State | None, claim: Claim | None) -> tuple[str, ...]:
     place = (f"{100 * at.x_m:.0f} {100 * at.y_m:.0f}", f"{1e3 * at.place_sigma_m:.0f}") if at else ("-", "-")
     spot = None if claim is None or claim.view is UNSET else floor_spot(claim.view)
     looks = "-" if spot is None else f"{100 * spot[0]:.0f} {100 * spot[1]:.0f}"
-    wrong = ", ".join(map(fault_kind, state.faults)) or ("motors off" if state.armed is False else "")
-    return *place, looks, " ".join(hears(state)) or "-", wrong
+    view = robot_view(state)
+    return *place, looks, " ".join(view.hears) or "-", ", ".join(view.remarks)
 
 
 def floor_spot(view: View) -> tuple[float, float] | None:

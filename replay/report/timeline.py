@@ -23,6 +23,7 @@ from agent.core.capability_messages import Frame, holds
 from agent.core.codec import READABLE, Refusal, decode
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Answer, Estimate, LogLine, State, Symmetric, Vector
+from agent.core.robot_view import in_own_name
 from agent.core.step_io import Inputs, Outputs, Sighting, SweepOutcome
 from agent.robot.fleet_reader import load_fleet
 from replay.check.check import Link, links
@@ -298,7 +299,7 @@ def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str
             continue
         topic, chunks = row
         try:
-            message = decode(record.data, topic.message, topic.limit, READABLE)
+            message = in_own_name(topic, chunks, record.data, READABLE)
         except Refusal:
             continue
         robot = robots.get(chunks[topic.writer])

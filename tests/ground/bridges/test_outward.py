@@ -113,6 +113,7 @@ def test_a_new_start_has_a_clock_of_its_own() -> None:
 # --- vehicle ---
 # A State as a vehicle: directions, modes, and what nobody knows.
 
+
 def seen(at: Pose | None = None, **about: Any) -> RobotView:
     """Of a robot that the fleet file hangs at (1, 0.25) looking along x, or elsewhere."""
     pose = at or Pose(x_m=1.0, y_m=0.25, yaw_deg=0.0)
