@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from agent.core.codec import decode
 from agent.core.config import Fleet
 from agent.core.messages import Symmetric, Vector
+from agent.core.status import sigma_m
 from agent.core.step_io import Inputs, Outputs
 from replay.check.reexecute import STEP_BYTES, BlackBox
 from replay.report.page import Table
@@ -301,7 +302,7 @@ def _believed(track: CreatureTrack, name: str, from_ns: int, until_ns: int) -> s
     shares = sorted(((share, other) for other, share in last.shares.items() if share >= 0.01), reverse=True)
     words = " ".join(f"{other} {100 * share:.0f} %" for share, other in shares) or "what it knew before"
     off_mm = 1e3 * float(np.linalg.norm(np.array(last.x_m) - track.truth.at([last.t_ns])[0]))
-    sigma_mm = 1e3 * float(np.sqrt(last.cov_m2[0] + last.cov_m2[3] + last.cov_m2[5]))
+    sigma_mm = 1e3 * sigma_m(last.cov_m2)
     return f"{words}; {off_mm:.0f} mm off, says ± {sigma_mm:.0f}"
 
 

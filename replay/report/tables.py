@@ -16,6 +16,7 @@ from matplotlib.patches import Patch
 from msgspec import UNSET
 
 from agent.core.messages import Symmetric, Vector
+from agent.core.robot_view import AXES
 from agent.core.step_io import SweepOutcome
 from replay.report import figures
 from replay.report.figures import VARIANCES
@@ -27,7 +28,6 @@ from replay.report.timeline import SURVEYED, Array, RobotTimeline, Run, Surveyed
 # The table of errors: what priors and posteriors missed the truth by, axis by axis, and whether they knew it.
 
 LATE = 10  # iterations at the end over which the posterior is judged
-AXES = ("x", "y", "z")
 
 
 class ErrorRow(NamedTuple):
@@ -52,10 +52,9 @@ def error_table(timelines: Sequence[RobotTimeline], truth_m: Vector) -> list[Err
             priors = np.array([state.prior_m for state in measured]) - truth_m
             stated = [[math.nan, math.nan, math.nan, _finite_mm(state.prior_sigma_m)] for state in measured]
             rows += _rows(timeline.label, "prior", 1e3 * priors, np.array(stated))
-        late = [belief for belief in timeline.beliefs if belief.state.posterior_m is not None][-LATE:]
-        if late:
-            errors = np.array([belief.state.posterior_m for belief in late]) - truth_m
-            stated = [[*_axes_mm(belief.cov_m2), _finite_mm(belief.state.posterior_sigma_m)] for belief in late]
+        if late := timeline.held[-LATE:]:
+            errors = np.array([x_m for _, x_m in late]) - truth_m
+            stated = [[*_axes_mm(belief.cov_m2), _finite_mm(belief.state.posterior_sigma_m)] for belief, _ in late]
             rows += _rows(timeline.label, "posterior", 1e3 * errors, np.array(stated))
     return rows
 
