@@ -58,10 +58,10 @@ from hw.camera.camera import Frame
 from hw.camera.open import known_scheme, open_camera
 from hw.stm32.driver import Motors, Stm32, open_port_path
 from hw.twin.twin_folder import twin_dir
-from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.files.info import RateNotes
 from replay.files.mcap_file import environment
 from replay.files.recover import recovering, torn_files
+from replay.recorder import BlackBoxWriter, black_box_log
 
 # --- the loop ---
 # The only loop: drain what arrived, step, log both, act. Everything with a thread or a clock is handed in.

@@ -18,7 +18,7 @@ from agent.core.messages import State, Symmetric, Vector
 from agent.core.robot_view import robot_view
 from agent.core.status import fault_kind
 from replay.report.creature_track import Path3, true_path
-from replay.report.page import Floor, Held, Point, Robot, Thing, close_up, from_above
+from replay.report.page import Floor, Held, Point, Robot, Thing, cell, close_up, from_above
 from replay.report.timeline import SURVEYED, RobotTimeline, Run, Surveyed, floor_known, survey_rows
 from replay.story import listed
 
@@ -422,14 +422,14 @@ def _ends(at_end: Sequence[End], survey: Surveyed | None) -> Ends:
     rows = [["robot", "at the end", "first knew, s", "first saw, s", "sure to ± mm", *(["off by mm"] if exact else [])]]
     for end in at_end:
         knows = "-" if end.last is None else KNOWS[end.last.knows]
-        numbers = [_number(end.known_s, 1.0), _number(end.seen_s, 1.0), _number(end.sigma_m, 1e3)]
-        rows.append([end.label, knows, *numbers, *([_number(end.off_m, 1e3)] if exact else [])])
+        numbers = [cell(end.known_s, ".1f"), cell(end.seen_s, ".1f"), _mm(end.sigma_m)]
+        rows.append([end.label, knows, *numbers, *([_mm(end.off_m)] if exact else [])])
     about = "Each robot at the end; seconds since the first step of any. Sure to: one standard deviation, all axes "
     return Ends(f"{about}together, as the robot states it.", rows)
 
 
-def _number(value: float | None, unit: float) -> str:
-    return "-" if value is None else f"{unit * value:.1f}"
+def _mm(value_m: float | None) -> str:
+    return cell(None if value_m is None else 1e3 * value_m, ".1f")
 
 
 def _drawn_robot(fleet: Fleet, name: str, timelines: Sequence[RobotTimeline]) -> Robot | None:

@@ -429,6 +429,15 @@ class Section(NamedTuple):
     folded: bool = True  # what experts want
 
 
+def cell(value: float | None, form: str) -> str:
+    """A cell; a dash for what there is not."""
+    return "-" if value is None else format(value, form)
+
+
+def percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f} %"
+
+
 def svg(figure: Figure) -> Markup:
     """The figure as an element of the page, in the page's colours, which are light or dark."""
     import matplotlib  # here: the operator's page takes colours and pictures alone

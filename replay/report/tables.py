@@ -21,7 +21,7 @@ from agent.core.step_io import SweepOutcome
 from replay.report import figures
 from replay.report.figures import VARIANCES
 from replay.report.lead import ORDERED, OVER, End, ends, truth_of
-from replay.report.page import Row, Table
+from replay.report.page import Row, Table, cell
 from replay.report.timeline import SURVEYED, Array, RobotTimeline, Run, Surveyed, survey_rows
 
 # --- errors at the end ---
@@ -135,8 +135,8 @@ def axis_table(run: Run) -> Table | None:
     rows = [["robot", "what", "axis", "n", "bias mm", "RMSE mm", "95 % mm", "largest mm", "within 2 sigma"]]
     for target, truth_m in run.truths_m.items():
         for e in error_table(run.about(target), truth_m):
-            shown = [_number(e.bias, "+.2f"), *(f"{value:.2f}" for value in (e.rmse, e.p95, e.largest))]
-            rows.append([e.robot, e.what, e.axis, str(e.n), *shown, _number(e.within_2_sigma, ".0%")])
+            shown = [cell(e.bias, "+.2f"), *(f"{value:.2f}" for value in (e.rmse, e.p95, e.largest))]
+            rows.append([e.robot, e.what, e.axis, str(e.n), *shown, cell(e.within_2_sigma, ".0%")])
     if len(rows) == 1:
         return None
     return Table(
@@ -279,10 +279,6 @@ def matrix(run: Run) -> Table:
 
 def _mm(x_m: float | None) -> str:
     return "" if x_m is None else f"{1e3 * x_m:.2f}"
-
-
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
 
 
 # --- light ---
