@@ -36,7 +36,7 @@ from replay.files.log import read
 from replay.files.mcap_file import parts
 from replay.files.mcap_walk import Channel, Message, Schema, Tear, records, suspecting
 from replay.report.timeline import RobotTimeline, Run, open_run
-from replay.viewers.viewer_channels import telemetry_row
+from replay.viewers.viewer_channels import sighting_row, telemetry_row
 
 # --- recordings of a path ---
 # Which recordings a path stands for, when something is to be made of them, and which robots are in these; and a file
@@ -187,6 +187,11 @@ def _plain(data: Any) -> Any:
 #
 # Times are seconds since the first step of any robot of the run; the first column of each table has them.
 
+SIGHTINGS = (
+    *("target", "frame", "sweep", "index", "lens_position", "found", "u_px", "v_px", "radius_px", "radius_sigma_px"),
+    *("width_px", "height_px", "clarity", "area_px", "score"),
+)
+
 TableRow = Mapping[str, Any]  # column with its unit: value; the same columns in each row
 
 
@@ -253,25 +258,9 @@ def _telemetry(box: BlackBox, start_ns: int) -> Iterator[TableRow]:
 def _sightings(box: BlackBox, start_ns: int) -> Iterator[TableRow]:
     for inputs in _inputs(box):
         for seen in inputs.sightings:
-            (u_px, v_px), (width_px, height_px) = seen.centre_px or (None, None), seen.size_px or (None, None)
-            yield {
-                "time_s": _s((seen.t_ns - start_ns) * 1e-9),
-                "target": seen.target,
-                "frame": seen.frame,
-                "sweep": seen.sweep or None,
-                "index": seen.index if seen.sweep else None,
-                "lens_position": seen.focus,
-                "found": int(seen.found),
-                "u_px": u_px,
-                "v_px": v_px,
-                "radius_px": seen.radius_px,
-                "radius_sigma_px": seen.radius_sigma_px,
-                "width_px": width_px,
-                "height_px": height_px,
-                "clarity": seen.clarity,
-                "area_px": seen.area_px,
-                "score": seen.score,
-            }
+            sweep = {"sweep": None, "index": None} if not seen.sweep else {}
+            row = {**sighting_row(seen), **sweep}
+            yield {"time_s": _s((seen.t_ns - start_ns) * 1e-9), **{column: row[column] for column in SIGHTINGS}}
 
 
 def _sweeps(timeline: RobotTimeline) -> Iterator[TableRow]:

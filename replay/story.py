@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
@@ -102,8 +102,7 @@ def story_facts(path: Path) -> dict[str, Any] | None:
     for (robot, target), facts in sorted(robots.items()):
         targets.setdefault(target, {"robots": {}})["robots"][robot] = facts.as_json()
     for about in targets.values():
-        places = {robot: facts["estimate_m"] for robot, facts in about["robots"].items() if facts["estimate_m"]}
-        about["apart_m"] = _apart_m(places)
+        about["apart_m"] = apart_m([facts["estimate_m"] for facts in about["robots"].values() if facts["estimate_m"]])
     return {"first_ns": first_ns, "lasts_s": (last_ns - first_ns) * 1e-9, "targets": targets}
 
 
@@ -131,9 +130,9 @@ def _tellers(state: State) -> list[str]:
     return sorted(named or [other.robot for other in state.neighbours if other.used])
 
 
-def _apart_m(places: dict[str, Vector]) -> float | None:
+def apart_m(places_m: Collection[Vector]) -> float | None:
     """The largest distance between what two robots believe; None of fewer than two."""
-    return max((math.dist(a, b) for a, b in combinations(places.values(), 2)), default=None)
+    return max((math.dist(a, b) for a, b in combinations(places_m, 2)), default=None)
 
 
 # --- in sentences ---

@@ -22,6 +22,7 @@ from replay.files.info import Moment
 from replay.report.creature_track import EVERY_NS, CreatureTrack
 from replay.report.page import ellipse
 from replay.report.timeline import Array, LoggedSweep, RobotTimeline, Surveyed, floor_known
+from replay.story import apart_m
 from replay.viewers.viewer_channels import SweepDepth
 
 VARIANCES = (0, 3, 5)  # of x, y, z among xx xy xz yy yz zz
@@ -130,10 +131,9 @@ def _apart(timelines: Sequence[RobotTimeline]) -> tuple[list[float], list[float]
     for belief in sorted((b for timeline in timelines for b in timeline.beliefs), key=lambda b: b.t_s):
         if belief.state.posterior_m is not None:
             newest[belief.state.robot] = belief.state.posterior_m
-        if len(newest) > 1:
+        if (largest_m := apart_m(newest.values())) is not None:
             times.append(belief.t_s)
-            largest = max(math.dist(a, b) for a, b in itertools.combinations(newest.values(), 2))
-            apart.append(1e3 * largest or math.nan)  # a logarithmic scale has no zero: a gap
+            apart.append(1e3 * largest_m or math.nan)  # a logarithmic scale has no zero: a gap
     return times, apart
 
 

@@ -20,7 +20,7 @@ from agent.core.status import fault_kind
 from replay.report.creature_track import Path3, true_path
 from replay.report.page import Floor, Held, Point, Robot, Thing, cell, close_up, from_above
 from replay.report.timeline import SURVEYED, RobotTimeline, Run, Surveyed, floor_known, survey_rows
-from replay.story import listed
+from replay.story import apart_m, listed
 
 # --- each robot at the end ---
 # Each robot at the end of a run, by target: what sentence, picture and tables say of it comes from here.
@@ -182,7 +182,7 @@ def _found(target: str, swims: bool, has_size: bool, of: Sequence[End], by_demo:
         sigma_m={end.robot: end.sigma_m for end in of if end.sigma_m is not None},
         off_m={end.robot: end.off_m for end in of if end.off_m is not None and end.sigma_m is not None},
         has_size=has_size,
-        apart_m=max((math.dist(a, b) for a, b in itertools.combinations(held, 2)), default=None) if not swims else None,
+        apart_m=apart_m(held) if not swims else None,
         in_view=(min(seen), max(seen)) if seen else None,
         track_rms_m=None if rms_mm is None else 1e-3 * rms_mm,
     )

@@ -279,7 +279,7 @@ class ViewerChannels:
             yield name(channels.THRUSTERS, robot=self._robot), telemetry.t_ns, plot_of("Thrusters", row)
         for sighting in inputs.sightings:
             chunks = {"robot": self._robot, **topics.target_chunk(self._fleet.target, sighting.target)}
-            yield name(channels.FOCUS, **chunks), sighting.t_ns, focus(sighting)
+            yield name(channels.FOCUS, **chunks), sighting.t_ns, plot_of("Focus", sighting_row(sighting))
 
     def _outputs(self, entry: Entry) -> Iterator[Made]:
         outputs = _own(entry, Outputs)
@@ -379,11 +379,12 @@ def telemetry_row(t: Telemetry) -> dict[str, Any]:
     }
 
 
-def focus(sighting: Sighting) -> Any:
-    """aucamp.Focus."""
-    u_px, v_px = sighting.centre_px or (None, None)
-    row = {**msgspec.structs.asdict(sighting), "position": sighting.focus, "u_px": u_px, "v_px": v_px}
-    return plot_of("Focus", row)
+def sighting_row(seen: Sighting) -> dict[str, Any]:
+    """Columns of plots and tables, by their names; `position`, in plots, is `lens_position`."""
+    (u_px, v_px), (width_px, height_px) = seen.centre_px or (None, None), seen.size_px or (None, None)
+    pixels = {"u_px": u_px, "v_px": v_px, "width_px": width_px, "height_px": height_px}
+    lens = {"position": seen.focus, "lens_position": seen.focus}
+    return {**msgspec.structs.asdict(seen), **pixels, **lens, "found": int(seen.found)}
 
 
 def protocol(view: RobotView) -> Any:
