@@ -23,6 +23,7 @@ from agent.core.topics import EVERY_FLEET
 from agent.demo.summary import EACH_SEES, ONE_SEES, PASS_PERCENT, SIGMAS, Histories, SurveyWatch
 from agent.process.certificates import CONSOLE_FILE
 from agent.process.keys import VARIABLE
+from replay.report.creature_track import followed_cells
 from replay.report.page import cell, percent
 
 FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and the reason is cut off
@@ -171,17 +172,7 @@ def track_table(summary: dict[str, Any], target: str) -> Table:
     for column in ("robot", "knew at s", "saw", "lost", "longest s", "mistook", "off mm", "95 %", "NEES"):
         table.add_column(column, justify="right", no_wrap=True)
     for name, row in about["agents"].items():
-        table.add_row(
-            name,
-            cell(row["known_s"], ".1f"),
-            percent(row["seen"]),
-            cell(row["times_lost"], "d"),
-            cell(row["longest_unseen_s"], ".1f"),
-            str(row["mistaken"]),
-            cell(row["track_rms_mm"], ".1f"),
-            cell(row["track_p95_mm"], ".1f"),
-            cell(row["nees"], ".2f"),
-        )
+        table.add_row(name, cell(row["known_s"], ".1f"), *followed_cells(row))
     return table
 
 

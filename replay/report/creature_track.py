@@ -212,25 +212,21 @@ def followed_table(summary: Mapping[str, Any], target: str) -> Table:
     head = ["robot", "saw it", "times lost", "longest, s", "found / in the picture", "mistaken", "off, rms mm", "95 %"]
     rows = [[*head, "NEES"]]
     for name, row in about["agents"].items():
-        rows.append(
-            [
-                name,
-                percent(row["seen"]),
-                cell(row["times_lost"], "d"),
-                cell(row["longest_unseen_s"], ".1f"),
-                f"{row['found_of_these']} / {row['in_the_picture']}",
-                str(row["mistaken"]),
-                cell(row["track_rms_mm"], ".1f"),
-                cell(row["track_p95_mm"], ".1f"),
-                cell(row["nees"], ".2f"),
-            ]
-        )
+        saw, found = followed_cells(row), f"{row['found_of_these']} / {row['in_the_picture']}"
+        rows.append([name, *saw[:3], found, *saw[3:]])
     by = f"one robot {percent(about['seen_by_one'])}, two {percent(about['seen_by_two'])}"
     return Table(
         f"{target}, from when all knew of it, {about['followed_s']:.0f} s: it was seen by at least {by} of the time. "
         "NEES is the squared error in the covariance that the robot stated: 3 where it knew how well it knew.",
         rows,
     )
+
+
+def followed_cells(row: Mapping[str, Any]) -> list[str]:
+    """Of one robot: saw it, times lost, longest, mistaken, off rms and 95 %, NEES."""
+    counts = (("times_lost", "d"), ("longest_unseen_s", ".1f"), ("mistaken", "d"))
+    figures = (("track_rms_mm", ".1f"), ("track_p95_mm", ".1f"), ("nees", ".2f"))
+    return [percent(row["seen"]), *(cell(row[name], form) for name, form in (*counts, *figures))]
 
 
 def lost_table(fleet: Fleet, track: CreatureTrack, start_ns: int) -> Table:

@@ -382,9 +382,9 @@ def telemetry_row(t: Telemetry) -> dict[str, Any]:
 def sighting_row(seen: Sighting) -> dict[str, Any]:
     """Columns of plots and tables, by their names; `position`, in plots, is `lens_position`."""
     (u_px, v_px), (width_px, height_px) = seen.centre_px or (None, None), seen.size_px or (None, None)
-    pixels = {"u_px": u_px, "v_px": v_px, "width_px": width_px, "height_px": height_px}
+    at = {"u_px": u_px, "v_px": v_px, "width_px": width_px, "height_px": height_px}
     lens = {"position": seen.focus, "lens_position": seen.focus}
-    return {**msgspec.structs.asdict(seen), **pixels, **lens, "found": int(seen.found)}
+    return {**msgspec.structs.asdict(seen), **at, **lens, "found": int(seen.found)}
 
 
 def protocol(view: RobotView) -> Any:

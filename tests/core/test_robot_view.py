@@ -27,9 +27,8 @@ def test_who_speaks_in_anothers_name_is_not_believed() -> None:
 
 
 def test_a_moored_robot_hangs_where_its_fleet_file_says_and_one_that_swims_is_where_it_says() -> None:
-    moored, swims, lost = (
-        robot_view(each, FLEET) for each in (state(), state(whereabouts=AT), state(whereabouts=None))
-    )
+    moored, swims = robot_view(state(), FLEET), robot_view(state(whereabouts=AT), FLEET)
+    lost = robot_view(state(whereabouts=None), FLEET)
     assert moored.body == FLEET.robot["r1"].pose
     assert swims.place_m == (0.5, 0.75, FLEET.tank.surface_m - 0.1)
     assert swims.turned == pytest.approx((0.0, 0.0, math.sqrt(0.5), math.sqrt(0.5)))
