@@ -12,7 +12,7 @@ import contextlib
 import csv
 import json
 import math
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from agent.core import topics
 from agent.core.codec import READABLE, Refusal, decode
 from agent.core.config import ConfigError
-from agent.core.messages import Image, State
-from agent.core.step_io import Inputs, Sighting, Telemetry
+from agent.core.robot_view import along_axes, in_own_name, robot_view
+from agent.core.step_io import Inputs, Sighting
 from replay.check.reexecute import STEP_BYTES, BlackBox, black_boxes, open_box, recordings
 from replay.files.channels import VISION, network_topic
 from replay.files.frames import MAX_PIXELS, Frames, Picture, pixels
@@ -36,6 +36,7 @@ from replay.files.log import read
 from replay.files.mcap_file import parts
 from replay.files.mcap_walk import Channel, Message, Schema, Tear, records, suspecting
 from replay.report.timeline import RobotTimeline, Run, open_run
+from replay.viewers.viewer_channels import sighting_row, telemetry_row
 
 # --- recordings of a path ---
 # Which recordings a path stands for, when something is to be made of them, and which robots are in these; and a file
@@ -186,39 +187,18 @@ def _plain(data: Any) -> Any:
 #
 # Times are seconds since the first step of any robot of the run; the first column of each table has them.
 
-AXES = "xyz"
-STATE = (
-    *("time_s", "target", "iteration", "knows", "measurements", "valid_robots", "rule", "alpha"),
-    *(f"prior_{axis}_m" for axis in AXES),
-    "prior_sigma_m",
-    *(f"posterior_{axis}_m" for axis in AXES),
-    "posterior_sigma_m",
-    *("depth_m", "roll_deg", "pitch_deg", "pan_deg", "tilt_deg", "lens_position", "faults"),
-)
-TELEMETRY = (
-    *("time_s", "depth_m", "roll_deg", "pitch_deg"),
-    *(f"sensor{n}_depth_m" for n in range(1, 5)),
-    *(f"pwm{n}_us" for n in range(1, 9)),
-    *(f"servo{n}_us" for n in range(1, 5)),
-    *("battery_v", "armed", "failsafe_level", "loop_us"),
-)
 SIGHTINGS = (
-    *("time_s", "target", "frame", "sweep", "index", "lens_position", "found", "u_px", "v_px", "radius_px"),
-    *("radius_sigma_px", "width_px", "height_px", "clarity", "area_px", "score"),
+    *("target", "frame", "sweep", "index", "lens_position", "found", "u_px", "v_px", "radius_px", "radius_sigma_px"),
+    *("width_px", "height_px", "clarity", "area_px", "score"),
 )
-SWEEPS = (
-    *("time_s", "target", "sweep", "peak_lens_position", "peak_sigma", "peak_half_width", "quality"),
-    *(f"measured_{axis}_m" for axis in AXES),
-    "rejected",
-)
-LOG = ("time_s", "level", "text")
+
+TableRow = Mapping[str, Any]  # column with its unit: value; the same columns in each row
 
 
 class Table(NamedTuple):
     robot: str
     kind: str  # state, telemetry, sightings, sweeps, log
-    head: Sequence[str]
-    rows: Iterator[Sequence[Any]]
+    rows: Iterator[TableRow]
 
     @property
     def file(self) -> str:
@@ -242,11 +222,12 @@ def tables(run: Run, robot: str) -> Iterator[Table]:
     """Every table of one robot."""
     of = [timeline for timeline in run.timelines if timeline.robot == robot]
     start_ns = run.start_ns or 0
-    yield Table(robot, "state", STATE, (row for timeline in of for row in _states(timeline)))
-    yield Table(robot, "telemetry", TELEMETRY, (row for box in of[0].boxes for row in _telemetry(box, start_ns)))
-    yield Table(robot, "sightings", SIGHTINGS, (row for box in of[0].boxes for row in _sightings(box, start_ns)))
-    yield Table(robot, "sweeps", SWEEPS, (row for timeline in of for row in _sweeps(timeline)))
-    yield Table(robot, "log", LOG, ((_s(t_s), line.level, _text(line.text)) for t_s, line in of[0].log))
+    yield Table(robot, "state", (row for timeline in of for row in _states(timeline)))
+    yield Table(robot, "telemetry", (row for box in of[0].boxes for row in _telemetry(box, start_ns)))
+    yield Table(robot, "sightings", (row for box in of[0].boxes for row in _sightings(box, start_ns)))
+    yield Table(robot, "sweeps", (row for timeline in of for row in _sweeps(timeline)))
+    lines = ({"time_s": _s(t_s), "level": line.level, "text": _text(line.text)} for t_s, line in of[0].log)
+    yield Table(robot, "log", lines)
 
 
 def _write(path: Path, table: Table) -> Path | None:
@@ -254,77 +235,50 @@ def _write(path: Path, table: Table) -> Path | None:
     if first is None:
         return None
     with path.open("w", encoding="utf-8", newline="") as file:
-        out = csv.writer(file)
-        out.writerow(table.head)
+        out = csv.DictWriter(file, list(first))
+        out.writeheader()
         out.writerow(first)
         out.writerows(table.rows)
     return path
 
 
-def _states(timeline: RobotTimeline) -> Iterator[Sequence[Any]]:
+def _states(timeline: RobotTimeline) -> Iterator[TableRow]:
     """The last state of each iteration."""
     for belief in timeline.beliefs:
-        state = belief.state
-        yield (
-            *(_s(belief.t_s), state.target, state.t, state.knows, state.measurements, _valid(state), state.rule),
-            state.alpha,
-            *_place(state.prior_m),
-            state.prior_sigma_m,
-            *_place(state.posterior_m),
-            state.posterior_sigma_m,
-            *(state.depth_m, state.roll_deg, state.pitch_deg, state.pan_deg, state.tilt_deg, state.focus),
-            _text("; ".join(state.faults)),
-        )
+        row = robot_view(belief.state).row
+        yield {"time_s": _s(belief.t_s), **row, "faults": _text(row["faults"])}
 
 
-def _valid(state: State) -> int:
-    """How many robots see the target, as far as this one knows: itself and its neighbours."""
-    return (state.knows == "sees") + sum(other.valid for other in state.neighbours)
-
-
-def _telemetry(box: BlackBox, start_ns: int) -> Iterator[Sequence[Any]]:
+def _telemetry(box: BlackBox, start_ns: int) -> Iterator[TableRow]:
     for inputs in _inputs(box):
-        for t in inputs.telemetry:
-            yield _telemetry_row(t, start_ns)
+        for telemetry in inputs.telemetry:
+            yield {"time_s": _s((telemetry.t_ns - start_ns) * 1e-9), **telemetry_row(telemetry)}
 
 
-def _telemetry_row(t: Telemetry, start_ns: int) -> Sequence[Any]:
-    at_s = _s((t.t_ns - start_ns) * 1e-9)
-    tail = t.battery_v, int(t.armed), t.ladder, t.loop_us
-    return at_s, t.depth_m, t.roll_deg, t.pitch_deg, *t.sensor_depth_m, *t.pulses_us, *t.servos_us, *tail
-
-
-def _sightings(box: BlackBox, start_ns: int) -> Iterator[Sequence[Any]]:
+def _sightings(box: BlackBox, start_ns: int) -> Iterator[TableRow]:
     for inputs in _inputs(box):
-        for sighting in inputs.sightings:
-            yield _sighting_row(sighting, start_ns)
+        for seen in inputs.sightings:
+            sweep = {"sweep": None, "index": None} if not seen.sweep else {}
+            row = {**sighting_row(seen), **sweep}
+            yield {"time_s": _s((seen.t_ns - start_ns) * 1e-9), **{column: row[column] for column in SIGHTINGS}}
 
 
-def _sighting_row(seen: Sighting, start_ns: int) -> Sequence[Any]:
-    sweep = (seen.sweep, seen.index) if seen.sweep else (None, None)
-    return (
-        *(_s((seen.t_ns - start_ns) * 1e-9), seen.target, seen.frame, *sweep, seen.focus, int(seen.found)),
-        *(seen.centre_px or (None, None)),
-        *(seen.radius_px, seen.radius_sigma_px),
-        *(seen.size_px or (None, None)),
-        *(seen.clarity, seen.area_px, seen.score),
-    )
-
-
-def _sweeps(timeline: RobotTimeline) -> Iterator[Sequence[Any]]:
+def _sweeps(timeline: RobotTimeline) -> Iterator[TableRow]:
     for sweep in timeline.sweeps:
         made = sweep.outcome
         peak = (made.lens_position, made.sigma, made.width, made.quality) if made is not None else (None,) * 4
-        place = _place(made.x_m if made is not None else None)
-        yield _s(sweep.t_s), sweep.target, sweep.number, *peak, *place, made.rejected if made is not None else ""
+        yield {
+            "time_s": _s(sweep.t_s),
+            "target": sweep.target,
+            "sweep": sweep.number,
+            **dict(zip(("peak_lens_position", "peak_sigma", "peak_half_width", "quality"), peak, strict=True)),
+            **along_axes("measured_{}_m", made.x_m if made is not None else None),
+            "rejected": made.rejected if made is not None else "",
+        }
 
 
 def _inputs(box: BlackBox) -> Iterable[Inputs]:
     return (decode(step.inputs, Inputs, limit=STEP_BYTES) for step in box.steps())
-
-
-def _place(x_m: Sequence[float] | None) -> Sequence[float | None]:
-    return x_m if x_m is not None else (None, None, None)
 
 
 def _text(said: str) -> str:
@@ -489,7 +443,7 @@ def _previews(path: Path, robot: str) -> Iterator[Shot]:
         if row is None or row[0] is not topics.IMAGE or row[1]["robot"] != robot:
             continue
         try:
-            shown = decode(record.data, Image, row[0].limit, READABLE)
+            shown = in_own_name(*row, record.data, READABLE)
         except Refusal:
             continue
         picture = Picture(t_ns=shown.t_ns, frame=shown.frame, roi=(0, 0, 0, 0), format="jpeg", data=shown.jpeg)

@@ -1,7 +1,8 @@
-"""The fleet recorder: what is on the network of a fleet, as the bytes came, in the order they reached this process. And
-the presence monitor, and the same traffic live in Foxglove.
+"""Recordings as they are written: the fleet recorder's, of what is on the network of a fleet, as the bytes came, in the
+order they reached this process; and an agent's black box. With the recorder come the presence monitor, and the same
+traffic live in Foxglove.
 
-It is an overview. What one robot knew and when is in that robot's own black box.
+What the fleet recorder keeps is an overview. What one robot knew and when is in that robot's own black box.
 """
 
 from __future__ import annotations
@@ -10,26 +11,34 @@ import json
 import logging
 import threading
 from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from functools import partial
+from itertools import count
 from pathlib import Path
 from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
 
 from agent.clock import machine
 from agent.clock.clock import Clock
 from agent.core import topics
-from agent.core.codec import Refusal, decode
+from agent.core.codec import Refusal, decode, encode
 from agent.core.config import ConfigError, Fleet, dump
 from agent.core.messages import SCHEMA
+from agent.core.ranging.camera_model import Calibration
+from agent.core.step_io import Sighting
 from agent.core.topics import Topic
-from replay.files.channels import NETWORK, PRESENCE, Backlog, Entry, name
+from replay.files import channels
+from replay.files.channels import NETWORK, PRESENCE, Backlog, Entry, entry_on, name
+from replay.files.frames import frame_entries
 from replay.files.info import RateNotes
 from replay.files.log import Limits, LogWriter, drop_note, parts, unused
 from replay.files.mcap_file import environment
 from replay.files.recover import recovering, torn_files
 from replay.viewers.layout import foxglove_layout, shipped
-from replay.viewers.viewer_channels import ViewerChannels
+from replay.viewers.viewer_channels import MeasureDepth, ViewerChannels
 from router_config.session import Sample, Session, unusable
 from router_config.settings import observer_config
 
@@ -354,3 +363,69 @@ def where_the_layout_is(fleet: Fleet) -> str:
     if json.loads(path.read_text(encoding="utf-8")) == foxglove_layout(fleet):
         return f"the layout is {path}"
     return "`aucamp replay layout` writes a layout for this fleet"
+
+
+# --- an agent's black box ---
+# What a robot's black box holds, channel by channel. The calls come from several threads; none of them waits.
+
+
+def black_box_log(
+    folder: Path,
+    fleet: Fleet,
+    robot: str,
+    calibration: Calibration,
+    run: Mapping[str, object],
+    views: bool,
+    depth: MeasureDepth | None = None,
+) -> LogWriter:
+    """The file `<robot>.mcap`, or `<robot>.2.mcap` and so on after a restart.
+
+    `views`: with channels for viewers; `depth`: what makes depth maps for them.
+    """
+    return LogWriter(
+        unused(folder / f"{robot}.mcap"),
+        run,
+        attachments={"fleet.toml": dump(fleet), "calibration.toml": dump(calibration)},
+        splits_at=channels.STEP_IN.name,
+        derive=ViewerChannels(fleet, robot, calibration, depth) if views else None,
+    )
+
+
+class BlackBoxWriter:
+    """Gives each channel of the black box its name, number and times."""
+
+    def __init__(
+        self,
+        log: LogWriter,
+        robot: str,
+        clock: Callable[[], int],
+        lossless: bool = False,
+        rate: RateNotes | None = None,
+    ) -> None:
+        """`clock` gives Unix nanoseconds that never step back; `lossless`: every frame as PNG, nine times as large.
+
+        `rate`: notes of how fast that clock goes, to be written as well.
+        """
+        self._log, self._robot, self._clock, self._lossless, self._rate = log, robot, clock, lossless, rate
+        self._frames, self._chunks = count(), {channels.FROM_BOARD: count(), channels.TO_BOARD: count()}
+
+    def step(self, step: int, now_ns: int, inputs: bytes, outputs: bytes | None) -> None:
+        """One call of Agent.step, as encoded messages; `outputs` is None when it raised."""
+        self._log.put(entry_on(channels.STEP_IN, now_ns, now_ns, step, inputs))
+        if outputs is not None:
+            self._log.put(entry_on(channels.STEP_OUT, now_ns, now_ns, step, outputs))
+        for note in self._rate.due() if self._rate is not None else ():
+            self._log.put(note)
+
+    def frame(self, image: NDArray[np.uint8], roi: tuple[int, int, int, int], *sightings: Sighting) -> None:
+        """A frame and what vision found in it, of each target that it looked for; called on vision's thread."""
+        number, now_ns = next(self._frames), self._clock()
+        for entry in frame_entries(self._robot, number, now_ns, image, roi, sightings[0], self._lossless):
+            self._log.put(entry)
+        for sighting in sightings:
+            self._log.put(entry_on(channels.VISION, now_ns, sighting.t_ns, number, encode(sighting)))
+
+    def serial(self, from_board: bool, data: bytes) -> None:
+        """Bytes of the tether; called on the port's thread."""
+        channel, now_ns = channels.FROM_BOARD if from_board else channels.TO_BOARD, self._clock()
+        self._log.put(entry_on(channel, now_ns, now_ns, next(self._chunks[channel]), data))

@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from itertools import combinations
 from pathlib import Path
@@ -20,6 +20,7 @@ from agent.core import topics
 from agent.core.codec import READABLE, Refusal, decode
 from agent.core.config import ConfigError
 from agent.core.messages import State, Vector
+from agent.core.robot_view import in_own_name
 from agent.core.status import fault_kind
 from agent.core.step_io import Outputs
 from replay.check.reexecute import STEP_BYTES
@@ -101,8 +102,7 @@ def story_facts(path: Path) -> dict[str, Any] | None:
     for (robot, target), facts in sorted(robots.items()):
         targets.setdefault(target, {"robots": {}})["robots"][robot] = facts.as_json()
     for about in targets.values():
-        places = {robot: facts["estimate_m"] for robot, facts in about["robots"].items() if facts["estimate_m"]}
-        about["apart_m"] = _apart_m(places)
+        about["apart_m"] = apart_m([facts["estimate_m"] for facts in about["robots"].values() if facts["estimate_m"]])
     return {"first_ns": first_ns, "lasts_s": (last_ns - first_ns) * 1e-9, "targets": targets}
 
 
@@ -114,8 +114,7 @@ def _states(path: Path) -> Iterator[State]:
             if record.channel == STEP_OUT.name:
                 state = decode(record.data, Outputs, STEP_BYTES, READABLE).state
             elif row is not None and row[0] is topics.STATE:
-                state = decode(record.data, State, row[0].limit, READABLE)
-                state = state if state.robot == row[1]["robot"] else None
+                state = in_own_name(*row, record.data, READABLE)
             else:
                 continue
         except Refusal:
@@ -131,9 +130,9 @@ def _tellers(state: State) -> list[str]:
     return sorted(named or [other.robot for other in state.neighbours if other.used])
 
 
-def _apart_m(places: dict[str, Vector]) -> float | None:
+def apart_m(places_m: Collection[Vector]) -> float | None:
     """The largest distance between what two robots believe; None of fewer than two."""
-    return max((math.dist(a, b) for a, b in combinations(places.values(), 2)), default=None)
+    return max((math.dist(a, b) for a, b in combinations(places_m, 2)), default=None)
 
 
 # --- in sentences ---
@@ -226,7 +225,7 @@ def _range_mm(values_m: list[float]) -> str:
     return f"{least:.1f} mm" if f"{least:.1f}" == f"{most:.1f}" else f"{least:.1f} to {most:.1f} mm"
 
 
-def listed(words: list[str]) -> str:
+def listed(words: Sequence[str]) -> str:
     """r1, r2 and r3."""
     return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else "".join(words)
 

@@ -26,9 +26,9 @@ from rich.live import Live
 
 from agent.clock import machine
 from agent.core.capability_messages import Claim
-from agent.core.codec import Refusal, decode
+from agent.core.codec import Refusal
 from agent.core.config import Access, ConfigError, Fleet, Protocol, dump
-from agent.core.messages import State
+from agent.core.robot_view import in_own_name
 from agent.core.topics import CLAIM, STATE
 from agent.demo.display import how_to_look, progress_table, progress_title, result_table, survey_table
 from agent.demo.summary import (
@@ -365,11 +365,11 @@ def dive(
         while (now_ns := clock.now_ns()) < until_ns:
             for seen in observer.drain():
                 try:
-                    if survey is not None and seen.topic is CLAIM:
-                        survey.add(decode(seen.payload, Claim))
-                        continue
-                    state = decode(seen.payload, State)
-                    histories[state.target][seen.chunks["robot"]].states.append(state)
+                    said = in_own_name(seen.topic, seen.chunks, seen.payload)
+                    if survey is not None and isinstance(said, Claim):
+                        survey.add(said)
+                    else:
+                        histories[said.target][said.robot].states.append(said)
                 except (Refusal, KeyError):
                     continue  # a stranger's sample: the recorder has it
             if live is not None:

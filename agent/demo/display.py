@@ -18,12 +18,13 @@ from agent.capabilities.survey.coverage_map import place_m, rotation
 from agent.core.capability_messages import Claim, View, holds
 from agent.core.config import Fleet
 from agent.core.messages import LampState, State
-from agent.core.status import fault_kind
+from agent.core.robot_view import robot_view
 from agent.core.topics import EVERY_FLEET
 from agent.demo.summary import EACH_SEES, ONE_SEES, PASS_PERCENT, SIGMAS, Histories, SurveyWatch
 from agent.process.certificates import CONSOLE_FILE
-from agent.process.command import hears
 from agent.process.keys import VARIABLE
+from replay.report.creature_track import followed_cells
+from replay.report.page import cell, percent
 
 FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and the reason is cut off
 
@@ -92,16 +93,16 @@ def progress_row(state: State | None) -> tuple[str, ...]:
     """The cells behind target and robot."""
     if state is None:
         return ("…",)
+    view = robot_view(state)
     return (
         state.knows,
         str(state.t),
-        "-" if state.acquired_t is None else str(state.acquired_t),
+        cell(state.acquired_t, "d"),
         " ".join(f"{1e3 * x:.1f}" for x in state.posterior_m) if state.posterior_m else "-",
         f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "-",
-        " ".join(hears(state)) or "-",
+        " ".join(view.hears) or "-",
         *((whose_light(state.robot, state.lamp),) if state.lamp else ()),
-        ", ".join((*map(fault_kind, state.faults), *(state.ordered or ())))
-        or ("motors off" if state.armed is False else ""),
+        ", ".join(view.remarks),
     )
 
 
@@ -143,9 +144,9 @@ def result_table(summary: dict[str, Any], target: str) -> Table:
         error = " ".join(f"{v:+.1f}" for v in row["error_axis_mm"] or [])
         if is_ball:
             rms = " ".join(f"{v:.1f}" for v in row["prior_rmse_axis_mm"] or [])
-            cells += (rms, error, number(row["error_mm"], 2), number(row["relative_error_percent"], 2))
+            cells += (rms, error, cell(row["error_mm"], ".2f"), cell(row["relative_error_percent"], ".2f"))
         else:
-            cells += (error, number(row["outside_mm"], 1), number(row["allowed_mm"], 1))
+            cells += (error, cell(row["outside_mm"], ".1f"), cell(row["allowed_mm"], ".1f"))
         table.add_row(*cells)
     return table
 
@@ -158,9 +159,10 @@ def track_table(summary: dict[str, Any], target: str) -> Table:
     """How each robot followed a target that swims."""
     about = summary["targets"][target]
     by = [f"one {percent(about['seen_by_one'])}", f"two {percent(about['seen_by_two'])}"]
+    off, nees = cell(about["track_rms_mm"], ".1f"), cell(about["nees"], ".2f")
     table = Table(
         title=f"{target}, followed for {about['followed_s']:.0f} s, twin seed {summary['seed']}; "
-        f"saw it: {', '.join(by)}; tracks {number(about['track_rms_mm'], 1)} mm rms, NEES {number(about['nees'], 2)}",
+        f"saw it: {', '.join(by)}; tracks {off} mm rms, NEES {nees}",
         title_justify="left",
         caption=f"{TRACK_SAYS}\n{missed(about['bars'])}" if about["bars"] else TRACK_SAYS,
         caption_justify="left",
@@ -170,22 +172,8 @@ def track_table(summary: dict[str, Any], target: str) -> Table:
     for column in ("robot", "knew at s", "saw", "lost", "longest s", "mistook", "off mm", "95 %", "NEES"):
         table.add_column(column, justify="right", no_wrap=True)
     for name, row in about["agents"].items():
-        table.add_row(
-            name,
-            number(row["known_s"], 1),
-            percent(row["seen"]),
-            "-" if row["times_lost"] is None else str(row["times_lost"]),
-            number(row["longest_unseen_s"], 1),
-            str(row["mistaken"]),
-            number(row["track_rms_mm"], 1),
-            number(row["track_p95_mm"], 1),
-            number(row["nees"], 2),
-        )
+        table.add_row(name, cell(row["known_s"], ".1f"), *followed_cells(row))
     return table
-
-
-def percent(share: float | None) -> str:
-    return "-" if share is None else f"{100 * share:.1f} %"
 
 
 def missed(bars: dict[str, bool]) -> str:
@@ -201,11 +189,6 @@ NAMES = {
     "track_rms_mm": "track 25 mm rms",
     "nees": "NEES 2.5 to 3.5",
 }
-
-
-def number(value: float | None, digits: int) -> str:
-    """A cell; a dash for what there is not."""
-    return "-" if value is None else f"{value:.{digits}f}"
 
 
 FOLLOWED = (
@@ -262,8 +245,8 @@ def shown(state: State | None, claim: Claim | None) -> tuple[str, ...]:
     place = (f"{100 * at.x_m:.0f} {100 * at.y_m:.0f}", f"{1e3 * at.place_sigma_m:.0f}") if at else ("-", "-")
     spot = None if claim is None or claim.view is UNSET else floor_spot(claim.view)
     looks = "-" if spot is None else f"{100 * spot[0]:.0f} {100 * spot[1]:.0f}"
-    wrong = ", ".join(map(fault_kind, state.faults)) or ("motors off" if state.armed is False else "")
-    return *place, looks, " ".join(hears(state)) or "-", wrong
+    view = robot_view(state)
+    return *place, looks, " ".join(view.hears) or "-", ", ".join(view.remarks)
 
 
 def floor_spot(view: View) -> tuple[float, float] | None:

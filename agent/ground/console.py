@@ -24,6 +24,7 @@ from agent.core import topics
 from agent.core.codec import Refusal, decode, encode
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Answer, Arg, Order, State
+from agent.core.robot_view import in_own_name
 from agent.core.step_io import Telemetry
 from agent.core.topics import STATE
 from agent.core.verbs import CLOCK, URGENT, arguments, prepare_all
@@ -157,11 +158,10 @@ class OrderConsole:
         if row is None or row[0] is not STATE or unusable(sample, STATE):
             return
         with contextlib.suppress(Refusal):
-            state = decode(sample.payload(), State)
-            if state.robot == row[1]["robot"]:
-                with self._changed:
-                    self._states[state.robot] = state
-                    self._changed.notify()
+            state = in_own_name(*row, sample.payload())
+            with self._changed:
+                self._states[state.robot] = state
+                self._changed.notify()
 
     def _token(self, sample: Sample) -> None:
         chunks = topics.chunks(topics.ALIVE, sample.key)

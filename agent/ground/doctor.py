@@ -18,6 +18,7 @@ from msgspec import UNSET
 from agent.clock import machine
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import NeighbourState
+from agent.core.robot_view import RobotView, robot_view
 from agent.ground.check import OPEN, computer_findings, running_findings
 from agent.ground.check_files import SOON_DAYS, Finding, certificate_findings, is_here, loopback_findings
 from agent.ground.console import NEAR_V, SURFACES_V
@@ -502,7 +503,8 @@ def _from_outside(fleet: Fleet, who: Who) -> Iterator[Finding]:
             found.append(finding)
     yield from found
     ill = {finding.about for finding in found if finding.level == "wrong"}
-    yield from (_in_order(facts, name, offsets.get(name)) for name in there if name in facts.states and name not in ill)
+    in_order = [name for name in there if name in facts.states and name not in ill]
+    yield from (_in_order(robot_view(facts.states[name], fleet), facts, offsets.get(name)) for name in in_order)
 
 
 def _measured(offset: Offset, late_ns: int) -> Iterator[str]:
@@ -510,14 +512,13 @@ def _measured(offset: Offset, late_ns: int) -> Iterator[str]:
     yield f"clock {offset.ahead_s * 1e3:+.1f} ms"
 
 
-def _in_order(facts: Facts, name: str, offset: Offset | None) -> Finding:
+def _in_order(view: RobotView, facts: Facts, offset: Offset | None) -> Finding:
     """What there is to say of a robot that is heard."""
-    state = facts.states[name]
-    hears = [found.robot for found in state.neighbours if found.age_s is not None]
+    state, name = view.said, view.said.robot
     said: Sequence[str] = (
         "is linked and heard",
-        f"hears {', '.join(hears)}" if hears else "hears nobody",
-        *((f"motors {'on' if state.armed else 'off'}",) if state.armed is not None else ()),
+        f"hears {', '.join(view.hears) or 'nobody'}",
+        *((view.motors,) if view.motors else ()),
         *((f"battery {state.battery_v:.1f} V",) if state.battery_v is not UNSET else ()),
         *(_measured(offset, facts.late_ns[name]) if offset else ()),
         *((f"believed not: {', '.join(f'{n} {kind}' for kind, n in state.refused.items())}",) if state.refused else ()),

@@ -18,6 +18,7 @@ from agent.core import topics
 from agent.core.codec import Refusal, decode, encode
 from agent.core.config import Fleet
 from agent.core.messages import Answer, Order, State
+from agent.core.robot_view import in_own_name
 from agent.core.topics import STATE
 from agent.ground.check_files import Finding
 from agent.process.launch import addresses_of
@@ -230,9 +231,11 @@ class _Ears:
         while self._arrived:
             key, payload, at_ns = self._arrived.popleft()
             row = topics.match(key)
-            robot = row[1]["robot"] if row else ""
+            if row is None:
+                continue
+            robot = row[1]["robot"]
             try:
-                said = decode(payload, State)
+                said: State = in_own_name(*row, payload)
             except Refusal as refusal:
                 self.unreadable[robot] = str(refusal)
                 continue

@@ -13,9 +13,10 @@ from threading import Event
 from typing import NamedTuple, TypeVar
 
 from agent.clock import machine
-from agent.core.codec import Refusal, decode
+from agent.core.codec import Refusal
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Image, State
+from agent.core.robot_view import in_own_name, robot_view
 from agent.core.topics import IMAGE, STATE
 from agent.process.certificates import credentials
 from agent.process.command import Failed, new_recording
@@ -41,11 +42,13 @@ def next_picture(fleet: Fleet, robot: str, keys: Path | None = None) -> Image:
                 if seen.chunks["robot"] != robot:
                     continue
                 try:
-                    if seen.topic is IMAGE:
-                        return decode(seen.payload, Image, IMAGE.limit)
-                    state = decode(seen.payload, State)
+                    said = in_own_name(seen.topic, seen.chunks, seen.payload)
                 except Refusal as refusal:
                     refused = str(refusal)
+                    continue
+                if isinstance(said, Image):
+                    return said
+                state = said
             if waited_s > HEARD_S and (why := hopeless(fleet, robot, state, refused)):
                 raise Failed(why)
             machine.sleep(LOOK_S)
@@ -69,8 +72,8 @@ def hopeless(fleet: Fleet, robot: str, state: State | None, refused: str) -> str
         )
     if fleet.link.preview_hz == 0:
         return f"{robot} is heard, but shows no pictures: [link] preview_hz is 0; set it, and start the agent again"
-    blind = [fault for fault in state.faults if fault.startswith(("no camera", "no frames"))]
-    return f"{robot} is heard, but has no picture: {'; '.join(blind)}" if blind else ""
+    blind = "; ".join(robot_view(state).blind)
+    return f"{robot} is heard, but has no picture: {blind}" if blind else ""
 
 
 def about(path: Path, image: Image) -> str:

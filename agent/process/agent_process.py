@@ -26,7 +26,7 @@ from agent.core.codec import encode
 from agent.core.config import ConfigError, Fleet, Robot
 from agent.core.messages import MAX_TEXT, SCHEMA, Answer, Estimate, Image, Level, LogLine, Mode, Presence, State
 from agent.core.ranging.camera_model import Calibration, load_calibration
-from agent.core.status import fault_kind
+from agent.core.robot_view import robot_view
 from agent.core.step_io import (
     BlockPeaks,
     DroppedPayloads,
@@ -50,7 +50,6 @@ from agent.perception.flow import LandmarkWatch
 from agent.perception.tracking.appearance import Box
 from agent.perception.vision import Preview, Vision
 from agent.process.certificates import credentials
-from agent.process.command import hears
 from agent.process.keys import RobotKeys, robot_keys
 from agent.process.transport import Transport, fleet_clock
 from agent.robot.fleet_reader import load_fleet, load_robot, with_behaviour
@@ -59,10 +58,10 @@ from hw.camera.camera import Frame
 from hw.camera.open import known_scheme, open_camera
 from hw.stm32.driver import Motors, Stm32, open_port_path
 from hw.twin.twin_folder import twin_dir
-from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.files.info import RateNotes
 from replay.files.mcap_file import environment
 from replay.files.recover import recovering, torn_files
+from replay.recorder import BlackBoxWriter, black_box_log
 
 # --- the loop ---
 # The only loop: drain what arrived, step, log both, act. Everything with a thread or a clock is handed in.
@@ -474,7 +473,6 @@ def run_facts(fleet: Fleet, name: str, incarnation: int) -> dict[str, str]:
 # What an agent says to the person who started it: its log as it grows, and every ten seconds where it stands.
 
 AGAIN_NS = 10_000_000_000  # between two lines about where it stands
-MOTORS = {True: "motors on", False: "motors off"}
 WAITING = 256  # lines that a terminal has not taken; later ones are left out, the network has them all
 LAST_S = 0.5  # how long the end waits for a terminal
 
@@ -519,7 +517,7 @@ class ConsoleLog:
             self._put(line(message.sent_ns, message.robot, message.level, message.text))
             return
         before: set[str] = set().union(*self._heard.values())
-        self._heard[message.target] = set(hears(message))
+        self._heard[message.target] = set(robot_view(message).hears)
         now: set[str] = set().union(*self._heard.values())
         for name in sorted(now ^ before):
             news = f"hears {name}" if name in now else f"hears {name} no more"
@@ -550,7 +548,6 @@ def standing(state: State) -> str:
     if state.posterior_m is not None:
         place = " ".join(f"{1e3 * x:.1f}" for x in state.posterior_m) + " mm"
         place += f", sigma {1e3 * state.posterior_sigma_m:.1f} mm" if state.posterior_sigma_m is not None else ""
-    wrong = [fault_kind(fault) for fault in state.faults]  # the log has their words
-    motors = [MOTORS[state.armed]] if state.armed is not None else []
-    rest = dict.fromkeys([f"hears {', '.join(hears(state)) or 'nobody'}", *motors, *wrong, *(state.ordered or ())])
-    return f"{state.target}: {state.knows} at iteration {state.t}, {place}; {'; '.join(rest)}"
+    view = robot_view(state)
+    rest = dict.fromkeys([f"hears {', '.join(view.hears) or 'nobody'}", view.motors, *view.remarks])
+    return f"{state.target}: {state.knows} at iteration {state.t}, {place}; {'; '.join(filter(None, rest))}"

@@ -24,7 +24,6 @@ from rich.console import Console
 from rich.text import Text
 
 from agent.core.config import ConfigError, Fleet
-from agent.core.messages import State
 
 # --- progress: a bar where the end is known, else a spinner ---
 
@@ -243,13 +242,3 @@ def complain(line: str) -> None:
 def terminal() -> Console:
     """Where results go."""
     return plain_console()
-
-
-# --- neighbours, as a State names them ---
-
-LATELY_S = 1.0  # ten messages at the default rate: younger than that is "hears"
-
-
-def hears(state: State) -> list[str]:
-    """The neighbours whose word is fresh."""
-    return [n.robot for n in state.neighbours if n.age_s is not None and n.age_s < LATELY_S]

@@ -22,9 +22,10 @@ from numpy.typing import NDArray
 from agent.core.codec import decode
 from agent.core.config import Fleet
 from agent.core.messages import Symmetric, Vector
+from agent.core.status import sigma_m
 from agent.core.step_io import Inputs, Outputs
 from replay.check.reexecute import STEP_BYTES, BlackBox
-from replay.report.page import Table
+from replay.report.page import Table, cell, percent
 
 CREATURES, BOXES = "creatures.csv", "boxes.csv"  # as the twin leaves them
 FRESH_NS = 300_000_000  # a newest frame that is older shows nothing of now: three of ten a second
@@ -211,25 +212,21 @@ def followed_table(summary: Mapping[str, Any], target: str) -> Table:
     head = ["robot", "saw it", "times lost", "longest, s", "found / in the picture", "mistaken", "off, rms mm", "95 %"]
     rows = [[*head, "NEES"]]
     for name, row in about["agents"].items():
-        rows.append(
-            [
-                name,
-                _percent(row["seen"]),
-                _text(row["times_lost"], "d"),
-                _text(row["longest_unseen_s"], ".1f"),
-                f"{row['found_of_these']} / {row['in_the_picture']}",
-                str(row["mistaken"]),
-                _text(row["track_rms_mm"], ".1f"),
-                _text(row["track_p95_mm"], ".1f"),
-                _text(row["nees"], ".2f"),
-            ]
-        )
-    by = f"one robot {_percent(about['seen_by_one'])}, two {_percent(about['seen_by_two'])}"
+        saw, found = followed_cells(row), f"{row['found_of_these']} / {row['in_the_picture']}"
+        rows.append([name, *saw[:3], found, *saw[3:]])
+    by = f"one robot {percent(about['seen_by_one'])}, two {percent(about['seen_by_two'])}"
     return Table(
         f"{target}, from when all knew of it, {about['followed_s']:.0f} s: it was seen by at least {by} of the time. "
         "NEES is the squared error in the covariance that the robot stated: 3 where it knew how well it knew.",
         rows,
     )
+
+
+def followed_cells(row: Mapping[str, Any]) -> list[str]:
+    """Of one robot: saw it, times lost, longest, mistaken, off rms and 95 %, NEES."""
+    counts = (("times_lost", "d"), ("longest_unseen_s", ".1f"), ("mistaken", "d"))
+    figures = (("track_rms_mm", ".1f"), ("track_p95_mm", ".1f"), ("nees", ".2f"))
+    return [percent(row["seen"]), *(cell(row[name], form) for name, form in (*counts, *figures))]
 
 
 def lost_table(fleet: Fleet, track: CreatureTrack, start_ns: int) -> Table:
@@ -301,13 +298,5 @@ def _believed(track: CreatureTrack, name: str, from_ns: int, until_ns: int) -> s
     shares = sorted(((share, other) for other, share in last.shares.items() if share >= 0.01), reverse=True)
     words = " ".join(f"{other} {100 * share:.0f} %" for share, other in shares) or "what it knew before"
     off_mm = 1e3 * float(np.linalg.norm(np.array(last.x_m) - track.truth.at([last.t_ns])[0]))
-    sigma_mm = 1e3 * float(np.sqrt(last.cov_m2[0] + last.cov_m2[3] + last.cov_m2[5]))
+    sigma_mm = 1e3 * sigma_m(last.cov_m2)
     return f"{words}; {off_mm:.0f} mm off, says ± {sigma_mm:.0f}"
-
-
-def _percent(share: float | None) -> str:
-    return "-" if share is None else f"{100 * share:.1f} %"
-
-
-def _text(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)

@@ -16,12 +16,15 @@ from agent.core.config import Fleet
 from agent.core.messages import State, Symmetric, Vector
 from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import h
+from agent.core.robot_view import AXES
+from agent.core.status import sigma_m
 from replay.files.info import Moment
-from replay.report.creature_track import EVERY_NS, CreatureTrack, Held
-from replay.report.timeline import Array, Belief, LoggedSweep, RobotTimeline, Surveyed, floor_known
+from replay.report.creature_track import EVERY_NS, CreatureTrack
+from replay.report.page import ellipse
+from replay.report.timeline import Array, LoggedSweep, RobotTimeline, Surveyed, floor_known
+from replay.story import apart_m
 from replay.viewers.viewer_channels import SweepDepth
 
-AXES = "xyz"
 VARIANCES = (0, 3, 5)  # of x, y, z among xx xy xz yy yz zz
 KNOWS = {"blind": "0.85", "told": "C1", "sees": "C2"}
 
@@ -30,14 +33,13 @@ def iterations(timeline: RobotTimeline, truth_m: Vector | None) -> Figure:
     """x̂ as dots and x as a line with ± 2σ, one panel for each axis; the upper scale is time."""
     figure = Figure(figsize=(4.6, 6.4), layout="constrained")
     panels = figure.subplots(3, 1, sharex=True)
-    held = [belief for belief in timeline.beliefs if belief.state.posterior_m is not None]
     for axis, (name, panel) in enumerate(zip(AXES, panels, strict=True)):
         if truth_m is not None:
             panel.axhline(1e3 * truth_m[axis], color="black", linewidth=0.8, linestyle="--", label="truth")
         panel.plot(
             [t for t, _ in timeline.priors], [1e3 * x[axis] for _, x in timeline.priors], ".", color="C1", label="x̂"
         )
-        t, x, sigma = _series(held, axis)
+        t, x, sigma = _series(timeline, axis)
         panel.plot(t, x, color="C0", label="x")
         panel.fill_between(t, x - 2 * sigma, x + 2 * sigma, color="C0", alpha=0.2, linewidth=0, label=r"$\pm 2\sigma$")
         for first in sorted({b.state.acquired_t for b in timeline.beliefs if b.state.acquired_t is not None}):
@@ -54,11 +56,11 @@ def iterations(timeline: RobotTimeline, truth_m: Vector | None) -> Figure:
     return figure
 
 
-def _series(held: Sequence[Belief], axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _series(timeline: RobotTimeline, axis: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Iteration, posterior and its standard deviation in mm along one axis; NaN where it is not recorded."""
-    x = [1e3 * belief.state.posterior_m[axis] for belief in held if belief.state.posterior_m]
-    variances = [belief.cov_m2[VARIANCES[axis]] if belief.cov_m2 else math.nan for belief in held]
-    return np.array([belief.t for belief in held]), np.array(x), 1e3 * np.sqrt(np.array(variances, float))
+    x = [1e3 * x_m[axis] for _, x_m in timeline.held]
+    variances = [belief.cov_m2[VARIANCES[axis]] if belief.cov_m2 else math.nan for belief, _ in timeline.held]
+    return np.array([belief.t for belief, _ in timeline.held]), np.array(x), 1e3 * np.sqrt(np.array(variances, float))
 
 
 def valid_set(timeline: RobotTimeline) -> Figure:
@@ -109,12 +111,9 @@ def disagreement(timelines: Sequence[RobotTimeline], truth_m: Vector | None) -> 
     panel = figure.subplots()
     if truth_m is not None:
         for k, timeline in enumerate(timelines):
-            errors = [
-                (b.t_s, 1e3 * math.dist(b.state.posterior_m, truth_m)) for b in timeline.beliefs if b.state.posterior_m
-            ]
-            panel.plot(
-                [t for t, _ in errors], [e for _, e in errors], color=f"C{k}", linewidth=0.9, label=timeline.robot
-            )
+            times_s = [belief.t_s for belief, _ in timeline.held]
+            errors = [1e3 * math.dist(x_m, truth_m) for _, x_m in timeline.held]
+            panel.plot(times_s, errors, color=f"C{k}", linewidth=0.9, label=timeline.robot)
         limit_mm = 1e3 * 0.004 * math.hypot(*truth_m)
         panel.axhline(limit_mm, color="0.5", linestyle=":", linewidth=1.0, label="0.4 % of |x*|")
     times, apart = _apart(timelines)
@@ -132,10 +131,9 @@ def _apart(timelines: Sequence[RobotTimeline]) -> tuple[list[float], list[float]
     for belief in sorted((b for timeline in timelines for b in timeline.beliefs), key=lambda b: b.t_s):
         if belief.state.posterior_m is not None:
             newest[belief.state.robot] = belief.state.posterior_m
-        if len(newest) > 1:
+        if (largest_m := apart_m(newest.values())) is not None:
             times.append(belief.t_s)
-            largest = max(math.dist(a, b) for a, b in itertools.combinations(newest.values(), 2))
-            apart.append(1e3 * largest or math.nan)  # a logarithmic scale has no zero: a gap
+            apart.append(1e3 * largest_m or math.nan)  # a logarithmic scale has no zero: a gap
     return times, apart
 
 
@@ -352,11 +350,8 @@ def near_target(fleet: Fleet, timelines: Sequence[RobotTimeline], truth_m: Vecto
 
 def add_ellipse(panel: Axes, centre_mm: tuple[float, float], cov_m2: Symmetric, colour: str) -> None:
     """The 2σ contour of the horizontal part of a covariance."""
-    a, b, c = cov_m2[0], cov_m2[1], cov_m2[3]  # xx, xy, yy
-    mean, half = (a + c) / 2.0, math.hypot((a - c) / 2.0, b)
-    large, small = (2e3 * math.sqrt(max(value, 0.0)) for value in (mean + half, mean - half))  # semi-axes, mm
-    angle_deg = math.degrees(math.atan2(2.0 * b, a - c)) / 2.0
-    panel.add_patch(Ellipse(centre_mm, 2.0 * large, 2.0 * small, angle=angle_deg, fill=False, color=colour))
+    large_m, small_m, angle_deg = ellipse(cov_m2)
+    panel.add_patch(Ellipse(centre_mm, 4e3 * large_m, 4e3 * small_m, angle=angle_deg, fill=False, color=colour))
 
 
 # --- survey ---
@@ -408,8 +403,6 @@ def floor_above(fleet: Fleet, found: Surveyed) -> Figure:
 # --- a target that swims ---
 # A target that swims: its track from above, who saw it when, how far off each robot was, and whose word that was.
 
-SEES, TRACK_KNOWS, BLIND = "C2", "C1", "0.85"
-
 
 def track_above(fleet: Fleet, track: CreatureTrack) -> Figure:
     """World axes: walls, the true way in black, and where each robot believed it to be."""
@@ -445,11 +438,11 @@ def seen_when(fleet: Fleet, track: CreatureTrack, start_ns: int) -> Figure:
         sees = track.sees(name, moments) if name in track.looks else np.zeros(len(moments), bool)
         first_ns = track.held[name][0].t_ns if track.held.get(name) else None
         knows = moments >= first_ns if first_ns is not None else np.zeros(len(moments), bool)
-        for mask, colour in ((~sees & ~knows, BLIND), (~sees & knows, TRACK_KNOWS), (sees, SEES)):
+        for mask, colour in ((~sees & ~knows, KNOWS["blind"]), (~sees & knows, KNOWS["told"]), (sees, KNOWS["sees"])):
             above.broken_barh(_spans(times_s, mask), (row - 0.4, 0.8), color=colour, linewidth=0)
     above.set_yticks(range(len(names)), names)
     above.invert_yaxis()
-    shown = [("sees it", SEES), ("is told", TRACK_KNOWS), ("knows nothing", BLIND)]
+    shown = [("sees it", KNOWS["sees"]), ("is told", KNOWS["told"]), ("knows nothing", KNOWS["blind"])]
     above.legend(
         handles=[Patch(color=colour, label=text) for text, colour in shown],
         ncols=3,
@@ -465,7 +458,7 @@ def seen_when(fleet: Fleet, track: CreatureTrack, start_ns: int) -> Figure:
         t_s = [(row.t_ns - start_ns) * 1e-9 for row in rows]
         off = np.linalg.norm(np.array([row.x_m for row in rows]) - track.truth.at([row.t_ns for row in rows]), axis=1)
         below.plot(t_s, 1e3 * off, color=f"C{index}", linewidth=0.8, label=name)
-        below.plot(t_s, [3e3 * _sigma_m(row) for row in rows], color=f"C{index}", linewidth=0.6, linestyle=":")
+        below.plot(t_s, [3e3 * sigma_m(row.cov_m2) for row in rows], color=f"C{index}", linewidth=0.6, linestyle=":")
     below.set_yscale("log")
     below.set(xlabel="time, s", ylabel="off the truth, mm")
     if below.get_legend_handles_labels()[0]:
@@ -488,10 +481,6 @@ def made_of(fleet: Fleet, track: CreatureTrack, start_ns: int) -> Figure:
     handles, labels = panels[0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=len(labels) or 1, fontsize="small", frameon=False)
     return figure
-
-
-def _sigma_m(row: Held) -> float:
-    return math.sqrt(row.cov_m2[0] + row.cov_m2[3] + row.cov_m2[5])
 
 
 def _spans(times_s: np.ndarray, mask: np.ndarray) -> list[tuple[float, float]]:

@@ -15,10 +15,12 @@ from markupsafe import Markup
 
 from agent.core.config import Fleet
 from agent.core.messages import State, Symmetric, Vector
+from agent.core.robot_view import robot_view
 from agent.core.status import fault_kind
 from replay.report.creature_track import Path3, true_path
-from replay.report.page import Floor, Held, Point, Robot, Thing, close_up, from_above
+from replay.report.page import Floor, Held, Point, Robot, Thing, cell, close_up, from_above
 from replay.report.timeline import SURVEYED, RobotTimeline, Run, Surveyed, floor_known, survey_rows
+from replay.story import apart_m, listed
 
 # --- each robot at the end ---
 # Each robot at the end of a run, by target: what sentence, picture and tables say of it comes from here.
@@ -180,7 +182,7 @@ def _found(target: str, swims: bool, has_size: bool, of: Sequence[End], by_demo:
         sigma_m={end.robot: end.sigma_m for end in of if end.sigma_m is not None},
         off_m={end.robot: end.off_m for end in of if end.off_m is not None and end.sigma_m is not None},
         has_size=has_size,
-        apart_m=max((math.dist(a, b) for a, b in itertools.combinations(held, 2)), default=None) if not swims else None,
+        apart_m=apart_m(held) if not swims else None,
         in_view=(min(seen), max(seen)) if seen else None,
         track_rms_m=None if rms_mm is None else 1e-3 * rms_mm,
     )
@@ -335,7 +337,8 @@ def _wrong(about: Outcome) -> Iterator[tuple[Literal["bad"], str]]:
         if by:
             yield "bad", f"{names(by, about)} {what} {_first_of(list(dict.fromkeys(itertools.chain(*by.values()))))}"
     if about.torn:
-        yield "bad", f"not finished by {'its writer' if len(about.torn) == 1 else 'their writers'}: {_list(about.torn)}"
+        whose = "its writer" if len(about.torn) == 1 else "their writers"
+        yield "bad", f"not finished by {whose}: {listed(about.torn)}"
     if about.verdict == "fail":
         yield "bad", f"it did not pass: {_first_of(about.reasons)}" if about.reasons else "it did not pass"
 
@@ -350,11 +353,7 @@ def names(of: Collection[str], about: Outcome) -> str:
     if len(of) == len(about.fleet) > 1:
         n = len(of)
         return "both robots" if n == 2 else f"all {NUMBERS[n] if n < len(NUMBERS) else n} robots"
-    return _list([name for name in about.fleet if name in of])
-
-
-def _list(words: Sequence[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
+    return listed([name for name in about.fleet if name in of])
 
 
 def seconds(s: float) -> str:
@@ -423,41 +422,34 @@ def _ends(at_end: Sequence[End], survey: Surveyed | None) -> Ends:
     rows = [["robot", "at the end", "first knew, s", "first saw, s", "sure to ± mm", *(["off by mm"] if exact else [])]]
     for end in at_end:
         knows = "-" if end.last is None else KNOWS[end.last.knows]
-        numbers = [_number(end.known_s, 1.0), _number(end.seen_s, 1.0), _number(end.sigma_m, 1e3)]
-        rows.append([end.label, knows, *numbers, *([_number(end.off_m, 1e3)] if exact else [])])
+        numbers = [cell(end.known_s, ".1f"), cell(end.seen_s, ".1f"), _mm(end.sigma_m)]
+        rows.append([end.label, knows, *numbers, *([_mm(end.off_m)] if exact else [])])
     about = "Each robot at the end; seconds since the first step of any. Sure to: one standard deviation, all axes "
     return Ends(f"{about}together, as the robot states it.", rows)
 
 
-def _number(value: float | None, unit: float) -> str:
-    return "-" if value is None else f"{unit * value:.1f}"
+def _mm(value_m: float | None) -> str:
+    return cell(None if value_m is None else 1e3 * value_m, ".1f")
 
 
 def _drawn_robot(fleet: Fleet, name: str, timelines: Sequence[RobotTimeline]) -> Robot | None:
     """None of one that swims and never said where it is."""
     mine = [each for each in timelines if each.robot == name]
     states = sorted((row for each in mine for row in each.states), key=lambda row: row[0])
-    pose, way = fleet.robot[name].pose, _swum(states)
-    x_m, y_m, yaw_deg = pose.x_m, pose.y_m, pose.yaw_deg
-    if fleet.navigation is not None:
-        if not way:
-            return None
-        at = next(state.whereabouts for _, state in reversed(states) if state.whereabouts)
-        x_m, y_m, yaw_deg = at.x_m, at.y_m, at.yaw_deg
+    bodies = [body for _, state in states if (body := robot_view(state, fleet).body) is not None]
+    if fleet.navigation is not None and not bodies:
+        return None
+    at = bodies[-1] if bodies else fleet.robot[name].pose
     return Robot(
         name=name,
         colour=list(fleet.robot).index(name),
-        at=(x_m, y_m),
-        yaw=math.radians(yaw_deg),
-        looks=math.radians(yaw_deg + (states[-1][1].pan_deg if states else 0.0)),
+        at=(at.x_m, at.y_m),
+        yaw=math.radians(at.yaw_deg),
+        looks=math.radians(at.yaw_deg + (states[-1][1].pan_deg if states else 0.0)),
         sees=any(each.states[-1][1].knows == "sees" for each in mine if each.states),
-        way=_thinned(way),
+        way=_thinned([(body.x_m, body.y_m) for body in bodies]) if fleet.navigation is not None else (),
         heard=bool(states),
     )
-
-
-def _swum(states: Sequence[tuple[float, State]]) -> list[Point]:
-    return [(state.whereabouts.x_m, state.whereabouts.y_m) for _, state in states if state.whereabouts]
 
 
 def _thinned(way: Sequence[Point]) -> list[Point]:
@@ -475,9 +467,7 @@ def _thing(run: Run, target: str, at_end: Sequence[End]) -> Thing:
             colour=names.index(end.robot),
             x_m=end.x_m,
             cov_m2=end.cov_m2 or _round(end.sigma_m),
-            way=_thinned([b.state.posterior_m[:2] for b in about[end.robot].beliefs if b.state.posterior_m])
-            if swims
-            else (),
+            way=_thinned([x_m[:2] for _, x_m in about[end.robot].held]) if swims else (),
         )
         for end in of
         if end.x_m is not None and end.robot in names

@@ -54,12 +54,19 @@ class View:
         """The ellipse of a belief, from above; nothing where it has none."""
         if cov_m2 is None:
             return ""
-        a, b, c = cov_m2[0], cov_m2[1], cov_m2[3]  # xx, xy, yy
-        mean, half = (a + c) / 2.0, math.hypot((a - c) / 2.0, b)
-        large, small = (SIGMAS * self.scale * math.sqrt(max(value, 0.0)) for value in (mean + half, mean - half))
-        turn = -math.degrees(math.atan2(2.0 * b, a - c)) / 2.0  # the picture's y runs down
-        where = f'transform="translate({self.at(x_m, y_m)}) rotate({turn:.1f})"'
-        return f'<ellipse class="sure" rx="{large:.2f}" ry="{small:.2f}" {where}/>'
+        large_m, small_m, angle_deg = ellipse(cov_m2)
+        rx, ry = (SIGMAS * self.scale * semi_m for semi_m in (large_m, small_m))
+        where = f'transform="translate({self.at(x_m, y_m)}) rotate({-angle_deg:.1f})"'  # the picture's y runs down
+        return f'<ellipse class="sure" rx="{rx:.2f}" ry="{ry:.2f}" {where}/>'
+
+
+def ellipse(cov_m2: Symmetric) -> tuple[float, float, float]:
+    """Of the horizontal part of a covariance, at one standard deviation: semi-axes, m, and the angle of the larger one,
+    degrees, anticlockwise from x."""
+    a, b, c = cov_m2[0], cov_m2[1], cov_m2[3]  # xx, xy, yy
+    mean, half = (a + c) / 2.0, math.hypot((a - c) / 2.0, b)
+    large_m, small_m = (math.sqrt(max(value, 0.0)) for value in (mean + half, mean - half))
+    return large_m, small_m, math.degrees(math.atan2(2.0 * b, a - c)) / 2.0
 
 
 # --- colours ---
@@ -420,6 +427,15 @@ class Section(NamedTuple):
     tables: list[Table]
     figures: list[Markup]
     folded: bool = True  # what experts want
+
+
+def cell(value: float | None, form: str) -> str:
+    """A cell; a dash for what there is not."""
+    return "-" if value is None else format(value, form)
+
+
+def percent(share: float | None) -> str:
+    return "-" if share is None else f"{100 * share:.1f} %"
 
 
 def svg(figure: Figure) -> Markup:

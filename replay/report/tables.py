@@ -16,18 +16,18 @@ from matplotlib.patches import Patch
 from msgspec import UNSET
 
 from agent.core.messages import Symmetric, Vector
+from agent.core.robot_view import AXES
 from agent.core.step_io import SweepOutcome
 from replay.report import figures
 from replay.report.figures import VARIANCES
 from replay.report.lead import ORDERED, OVER, End, ends, truth_of
-from replay.report.page import Row, Table
+from replay.report.page import Row, Table, cell
 from replay.report.timeline import SURVEYED, Array, RobotTimeline, Run, Surveyed, survey_rows
 
 # --- errors at the end ---
 # The table of errors: what priors and posteriors missed the truth by, axis by axis, and whether they knew it.
 
 LATE = 10  # iterations at the end over which the posterior is judged
-AXES = ("x", "y", "z")
 
 
 class ErrorRow(NamedTuple):
@@ -52,10 +52,9 @@ def error_table(timelines: Sequence[RobotTimeline], truth_m: Vector) -> list[Err
             priors = np.array([state.prior_m for state in measured]) - truth_m
             stated = [[math.nan, math.nan, math.nan, _finite_mm(state.prior_sigma_m)] for state in measured]
             rows += _rows(timeline.label, "prior", 1e3 * priors, np.array(stated))
-        late = [belief for belief in timeline.beliefs if belief.state.posterior_m is not None][-LATE:]
-        if late:
-            errors = np.array([belief.state.posterior_m for belief in late]) - truth_m
-            stated = [[*_axes_mm(belief.cov_m2), _finite_mm(belief.state.posterior_sigma_m)] for belief in late]
+        if late := timeline.held[-LATE:]:
+            errors = np.array([x_m for _, x_m in late]) - truth_m
+            stated = [[*_axes_mm(belief.cov_m2), _finite_mm(belief.state.posterior_sigma_m)] for belief, _ in late]
             rows += _rows(timeline.label, "posterior", 1e3 * errors, np.array(stated))
     return rows
 
@@ -136,8 +135,8 @@ def axis_table(run: Run) -> Table | None:
     rows = [["robot", "what", "axis", "n", "bias mm", "RMSE mm", "95 % mm", "largest mm", "within 2 sigma"]]
     for target, truth_m in run.truths_m.items():
         for e in error_table(run.about(target), truth_m):
-            shown = [_number(e.bias, "+.2f"), *(f"{value:.2f}" for value in (e.rmse, e.p95, e.largest))]
-            rows.append([e.robot, e.what, e.axis, str(e.n), *shown, _number(e.within_2_sigma, ".0%")])
+            shown = [cell(e.bias, "+.2f"), *(f"{value:.2f}" for value in (e.rmse, e.p95, e.largest))]
+            rows.append([e.robot, e.what, e.axis, str(e.n), *shown, cell(e.within_2_sigma, ".0%")])
     if len(rows) == 1:
         return None
     return Table(
@@ -280,10 +279,6 @@ def matrix(run: Run) -> Table:
 
 def _mm(x_m: float | None) -> str:
     return "" if x_m is None else f"{1e3 * x_m:.2f}"
-
-
-def _number(value: float | None, form: str) -> str:
-    return "-" if value is None else format(value, form)
 
 
 # --- light ---

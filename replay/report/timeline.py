@@ -23,6 +23,7 @@ from agent.core.capability_messages import Frame, holds
 from agent.core.codec import READABLE, Refusal, decode
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Answer, Estimate, LogLine, State, Symmetric, Vector
+from agent.core.robot_view import in_own_name
 from agent.core.step_io import Inputs, Outputs, Sighting, SweepOutcome
 from agent.robot.fleet_reader import load_fleet
 from replay.check.check import Link, links
@@ -47,6 +48,7 @@ from replay.files.log import parts, read
 # Times are seconds since the first step of any robot of the run, by the robots' own clocks.
 
 Array = NDArray[np.float64]
+UNKNOWN = (np.nan,) * 12  # of a posture without telemetry: sensors and pulses
 
 
 class LoggedSweep(NamedTuple):
@@ -103,10 +105,15 @@ class RobotTimeline(NamedTuple):
     answers: tuple[tuple[float, Answer], ...]  # to what people ordered
 
     @property
+    def held(self) -> list[tuple[Belief, Vector]]:
+        """The beliefs that place the target, and where."""
+        return [(belief, belief.state.posterior_m) for belief in self.beliefs if belief.state.posterior_m is not None]
+
+    @property
     def estimate(self) -> tuple[Vector, Symmetric | None] | None:
         """The last posterior and its covariance."""
-        held = [belief for belief in self.beliefs if belief.state.posterior_m is not None]
-        return (held[-1].state.posterior_m, held[-1].cov_m2) if held and held[-1].state.posterior_m else None
+        held = self.held[-1:]
+        return (held[0][1], held[0][0].cov_m2) if held else None
 
     @property
     def priors(self) -> list[tuple[int, Vector]]:
@@ -146,38 +153,17 @@ def timelines(boxes: Sequence[BlackBox]) -> list[RobotTimeline]:
 
 
 def _timelines(boxes: Sequence[BlackBox], start_ns: int) -> list[RobotTimeline]:
-    collected = _Collected()
-    starts = []
-    t_s = 0.0
+    gathered = _Gathered()
     for box in boxes:
         for step in box.steps():
-            t_s = (step.now_ns - start_ns) * 1e-9
+            gathered.ends_s = t_s = (step.now_ns - start_ns) * 1e-9
             if step.number == 0:
-                starts.append(t_s)
-            inputs = decode(step.inputs, Inputs, limit=STEP_BYTES)
-            collected.take_in(inputs, start_ns)
+                gathered.starts_s.append(t_s)
+            gathered.take_in(decode(step.inputs, Inputs, limit=STEP_BYTES), start_ns)
             if step.outputs is not None:
-                collected.take_out(decode(step.outputs, Outputs, limit=STEP_BYTES), t_s)
-        collected.end_box()
-    posture = collected.posture()
-    return [
-        RobotTimeline(
-            robot=boxes[0].robot,
-            target=target,
-            label=label(boxes[0].robot, target, boxes[0].fleet),
-            boxes=tuple(boxes),
-            starts_s=tuple(starts),
-            ends_s=t_s,
-            states=tuple(account.states),
-            beliefs=tuple(account.beliefs),
-            sweeps=tuple(sweep for sweep in collected.sweeps if sweep.target == target),
-            posture=posture,
-            set_depth_m=tuple(collected.set_depth_m),
-            log=tuple(collected.log),
-            answers=tuple(collected.answers),
-        )
-        for target, account in collected.accounts(boxes[0].fleet).items()
-    ]
+                gathered.take_out(decode(step.outputs, Outputs, limit=STEP_BYTES), t_s)
+        gathered.end_box()
+    return gathered.timelines(boxes[0].robot, boxes[0].fleet, boxes)
 
 
 def label(robot: str, target: str, fleet: Fleet) -> str:
@@ -206,27 +192,70 @@ class Account:
             self.beliefs.append(Belief(state.t, t_s, state, cov_m2))
 
 
-class _Collected:
-    """What one pass over a robot's steps leaves."""
+class _Gathered:
+    """What one pass over a robot's steps leaves, or over what it showed on the network."""
 
     def __init__(self) -> None:
-        self.sweeps: list[LoggedSweep] = []
-        self.set_depth_m: list[tuple[float, float]] = []
+        self.starts_s: list[float] = []
+        self.ends_s = 0.0
         self.log: list[tuple[float, LogLine]] = []
         self.answers: list[tuple[float, Answer]] = []
-        self._telemetry: list[tuple[float, ...]] = []
+        self._sweeps: list[LoggedSweep] = []
+        self._set_depth_m: list[tuple[float, float]] = []
+        self._postures: list[tuple[float, ...]] = []
         self._swept: dict[tuple[str, int], list[tuple[float, Sighting]]] = {}  # by target and number, since the start
         self._outcomes: dict[tuple[str, int], SweepOutcome] = {}
         self._accounts: defaultdict[str, Account] = defaultdict(Account)
+        self._newest: dict[int, State] = {}  # by incarnation, of what it showed on the network
 
-    def accounts(self, fleet: Fleet) -> dict[str, Account]:
-        """The accounts by target, in the order of the fleet file; an empty one where nothing was shown."""
-        return {target: self._accounts[target] for target in fleet.target}
+    def timelines(self, robot: str, fleet: Fleet, boxes: Sequence[BlackBox] = ()) -> list[RobotTimeline]:
+        """One for each target, in the order of the fleet file; an empty one where nothing was shown."""
+        columns = np.array(self._postures, float).reshape(-1, 16)
+        t_s, depth_m, roll_deg, pitch_deg = columns.T[:4]
+        posture = Posture(t_s, depth_m, roll_deg, pitch_deg, columns[:, 4:8], columns[:, 8:16])
+        return [
+            RobotTimeline(
+                robot=robot,
+                target=target,
+                label=label(robot, target, fleet),
+                boxes=tuple(boxes),
+                starts_s=tuple(self.starts_s),
+                ends_s=self.ends_s,
+                states=tuple(self._accounts[target].states),
+                beliefs=tuple(self._accounts[target].beliefs),
+                sweeps=tuple(sweep for sweep in self._sweeps if sweep.target == target),
+                posture=posture,
+                set_depth_m=tuple(self._set_depth_m),
+                log=tuple(self.log),
+                answers=tuple(self.answers),
+            )
+            for target in fleet.target
+        ]
+
+    def say(self, estimate: Estimate) -> None:
+        self._accounts[estimate.target].say(estimate)
+
+    def show(self, state: State, t_s: float) -> None:
+        """What it showed on the network: of its posture depth and tilt alone."""
+        if state.incarnation not in self._newest:
+            self.starts_s.append(t_s)
+        self._newest[state.incarnation] = state
+        self._accounts[state.target].show(state, t_s)
+        self.ends_s = t_s
+        if state.depth_m is not None and state.roll_deg is not None and state.pitch_deg is not None:
+            self._postures.append((t_s, state.depth_m, state.roll_deg, state.pitch_deg, *UNKNOWN))
+
+    def heard(self) -> Counter[str]:
+        """Messages from each neighbour, by this robot's own count, over all of its starts."""
+        total: Counter[str] = Counter()
+        for state in self._newest.values():
+            total.update({neighbour.robot: neighbour.heard for neighbour in state.neighbours})
+        return total
 
     def take_in(self, inputs: Inputs, start_ns: int) -> None:
         for t in inputs.telemetry:
             t_s = (t.t_ns - start_ns) * 1e-9
-            self._telemetry.append((t_s, t.depth_m, t.roll_deg, t.pitch_deg, *t.sensor_depth_m, *t.pulses_us))
+            self._postures.append((t_s, t.depth_m, t.roll_deg, t.pitch_deg, *t.sensor_depth_m, *t.pulses_us))
         for sighting in inputs.sightings:
             if sighting.sweep:
                 frames = self._swept.setdefault((sighting.target, sighting.sweep), [])
@@ -235,10 +264,10 @@ class _Collected:
     def take_out(self, outputs: Outputs, t_s: float) -> None:
         self.log += [(t_s, line) for line in outputs.log]
         self.answers += [(t_s, answer) for answer in outputs.answers or ()]
-        if not self.set_depth_m or self.set_depth_m[-1][1] != outputs.set_point.depth_m:
-            self.set_depth_m.append((t_s, outputs.set_point.depth_m))
+        if not self._set_depth_m or self._set_depth_m[-1][1] != outputs.set_point.depth_m:
+            self._set_depth_m.append((t_s, outputs.set_point.depth_m))
         for estimate in outputs.says:
-            self._accounts[estimate.target].say(estimate)
+            self.say(estimate)
         if outputs.state is not None:
             self._accounts[outputs.state.target].show(outputs.state, t_s)
         if outputs.outcome is not UNSET:
@@ -251,12 +280,8 @@ class _Collected:
             if good:
                 times_s, lens_positions, clarity = (list(column) for column in zip(*good, strict=True))
                 outcome = self._outcomes.get((target, number))
-                self.sweeps.append(LoggedSweep(number, target, times_s[0], lens_positions, clarity, outcome))
+                self._sweeps.append(LoggedSweep(number, target, times_s[0], lens_positions, clarity, outcome))
         self._swept, self._outcomes = {}, {}
-
-    def posture(self) -> Posture:
-        rows = np.array(self._telemetry, float).reshape(-1, 16)
-        return Posture(rows[:, 0], rows[:, 1], rows[:, 2], rows[:, 3], rows[:, 4:8], rows[:, 8:16])
 
 
 # --- a fleet, by its recorder ---
@@ -290,7 +315,7 @@ def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str
     """The robots of a fleet file by name, those in `known` left out. Times are by the robots' own clocks, since
     `start_ns`, or since the first state of any of them. What does not decode is passed over.
     """
-    robots = {name: _Robot() for name in file.fleet.robot}
+    robots = {name: _Gathered() for name in file.fleet.robot}
     said: dict[tuple[str, str], set[tuple[int, int]]] = {}
     for record in read(file.path):
         row = network_topic(record.channel)
@@ -298,7 +323,7 @@ def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str
             continue
         topic, chunks = row
         try:
-            message = decode(record.data, topic.message, topic.limit, READABLE)
+            message = in_own_name(topic, chunks, record.data, READABLE)
         except Refusal:
             continue
         robot = robots.get(chunks[topic.writer])
@@ -306,7 +331,7 @@ def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str
             continue
         if isinstance(message, Estimate):
             said.setdefault((message.src, message.dst), set()).add((message.incarnation, message.seq))
-            robot.accounts[message.target].say(message)
+            robot.say(message)
         elif isinstance(message, State):
             start_ns = message.sent_ns if start_ns is None else start_ns
             robot.show(message, (message.sent_ns - start_ns) * 1e-9)
@@ -317,68 +342,13 @@ def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str
     found = [
         timeline
         for name, robot in robots.items()
-        if name not in known
+        if name not in known and robot.starts_s  # else it was never up
         for timeline in robot.timelines(name, file.fleet)
     ]
     heard = {(src, dst): n for dst, robot in robots.items() for src, n in robot.heard().items()}
     pairs = sorted({*said, *(pair for pair, n in heard.items() if n)})
     links = [Link(*pair, len(said.get(pair, ())), heard.get(pair, 0), 0, 0) for pair in pairs]
     return Overheard(found, links, start_ns)
-
-
-class _Robot:
-    """What one robot showed."""
-
-    def __init__(self) -> None:
-        self.accounts: defaultdict[str, Account] = defaultdict(Account)
-        self.log: list[tuple[float, LogLine]] = []
-        self.answers: list[tuple[float, Answer]] = []
-        self._newest: dict[int, State] = {}  # by incarnation
-        self._starts_s: list[float] = []
-        self._postures: list[tuple[float, float, float, float]] = []  # t_s, depth, roll, pitch
-
-    def show(self, state: State, t_s: float) -> None:
-        if state.incarnation not in self._newest:
-            self._starts_s.append(t_s)
-        self._newest[state.incarnation] = state
-        self.accounts[state.target].show(state, t_s)
-        if state.depth_m is not None and state.roll_deg is not None and state.pitch_deg is not None:
-            self._postures.append((t_s, state.depth_m, state.roll_deg, state.pitch_deg))
-
-    def heard(self) -> Counter[str]:
-        """Messages from each neighbour, by this robot's own count, over all of its starts."""
-        total: Counter[str] = Counter()
-        for state in self._newest.values():
-            total.update({neighbour.robot: neighbour.heard for neighbour in state.neighbours})
-        return total
-
-    def timelines(self, name: str, fleet: Fleet) -> list[RobotTimeline]:
-        """One for each target; none of a robot that was never up."""
-        if not self._newest:
-            return []
-        postures = np.array(self._postures, float).reshape(-1, 4)
-        unknown = np.full((len(postures), 12), np.nan)
-        t_s, depth_m, roll_deg, pitch_deg = postures.T
-        posture = Posture(t_s, depth_m, roll_deg, pitch_deg, unknown[:, :4], unknown[:, 4:])
-        ends_s = max(account.states[-1][0] for account in self.accounts.values() if account.states)
-        return [
-            RobotTimeline(
-                robot=name,
-                target=target,
-                label=label(name, target, fleet),
-                boxes=(),
-                starts_s=tuple(self._starts_s),
-                ends_s=ends_s,
-                states=tuple(self.accounts[target].states),
-                beliefs=tuple(self.accounts[target].beliefs),
-                sweeps=(),
-                posture=posture,
-                set_depth_m=(),
-                log=tuple(self.log),
-                answers=tuple(self.answers),
-            )
-            for target in fleet.target
-        ]
 
 
 # --- a run ---

@@ -32,15 +32,14 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from numpy.typing import NDArray
 
 from agent.core.config import Body
-from agent.core.config import Pose as Place
-from agent.core.messages import Level, LogLine, State, Vector
+from agent.core.messages import Level, LogLine, Vector
 from agent.core.ranging.camera_model import CameraFit
+from agent.core.robot_view import AXES, RobotView, turn
 from replay.files.frames import stamp
 
 WORLD = "world"
-LEVELS: dict[Level, Any] = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
-
 Turn = tuple[float, float, float, float]  # unit quaternion x y z w
+LEVELS: dict[Level, Any] = {"info": Log.INFO, "warning": Log.WARNING, "error": Log.ERROR}
 
 # From the gimbal's axes (x forward, y left, z up) to the camera's (x right, y down, z forward).
 GIMBAL_CAMERA: Turn = (-0.5, 0.5, -0.5, 0.5)
@@ -58,17 +57,15 @@ def world_pose(x_m: Vector, turned: Turn, t_ns: int) -> Any:
     return PoseInFrame(timestamp=stamp(t_ns), frame_id=WORLD, pose=pose)
 
 
-def transforms(state: State, place: Place, body: Body, surface_m: float) -> Any | None:
-    """foxglove.FrameTransforms: world to body, gimbal and camera. None while depth and tilt are not known."""
-    if state.depth_m is None or state.roll_deg is None or state.pitch_deg is None:
+def transforms(view: RobotView, body: Body) -> Any | None:
+    """foxglove.FrameTransforms: world to body, gimbal and camera. None while place, depth or tilt is not known."""
+    if view.place_m is None or view.turned is None:
         return None
-    robot, at = state.robot, stamp(state.sent_ns)
-    centre = (place.x_m, place.y_m, surface_m - state.depth_m)
-    level = turn(place.yaw_deg, state.pitch_deg, state.roll_deg)
+    state, robot, at = view.said, view.said.robot, stamp(view.said.sent_ns)
     aim = turn(state.pan_deg, -state.tilt_deg, 0.0)  # tilt is positive upwards, a turn about y downwards
     return FrameTransforms(
         transforms=[
-            _transform(at, WORLD, f"{robot}/body", centre, level),
+            _transform(at, WORLD, f"{robot}/body", view.place_m, view.turned),
             _transform(at, f"{robot}/body", f"{robot}/gimbal", body.camera_m, aim),
             _transform(at, f"{robot}/gimbal", f"{robot}/camera", (0.0, 0.0, 0.0), GIMBAL_CAMERA),
         ]
@@ -139,18 +136,6 @@ def log_line(line: LogLine) -> Any:
     return Log(timestamp=stamp(line.sent_ns), level=LEVELS[line.level], name=line.robot, message=line.text)
 
 
-def turn(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Turn:
-    """Rz(yaw) Ry(pitch) Rx(roll) as a quaternion."""
-    cz, cy, cx = (math.cos(math.radians(angle) / 2) for angle in (yaw_deg, pitch_deg, roll_deg))
-    sz, sy, sx = (math.sin(math.radians(angle) / 2) for angle in (yaw_deg, pitch_deg, roll_deg))
-    return (
-        sx * cy * cz - cx * sy * sz,
-        cx * sy * cz + sx * cy * sz,
-        cx * cy * sz - sx * sy * cz,
-        cx * cy * cz + sx * sy * sz,
-    )
-
-
 def gimbal_of(camera: Turn) -> Turn:
     """The turn of the gimbal's axes to the world, of that of the camera's: x along the optical axis."""
     x, y, z, w = camera
@@ -184,8 +169,6 @@ def _vector(v: Vector) -> Vector3:
 # Their descriptors are built from this table when the module is loaded, so there is no generated code to keep in
 # step. A value that is not known is NaN, which plots show as a gap. Units are in the names.
 
-XYZ = "xyz"
-
 PLOTS: dict[str, tuple[str, ...]] = {
     "Attitude": (
         *("depth_m", "roll_deg", "pitch_deg", "battery_v", "armed", "failsafe_level", "loop_us"),
@@ -198,8 +181,8 @@ PLOTS: dict[str, tuple[str, ...]] = {
     ),
     "Protocol": (
         *("iteration", "knows", "measurements", "alpha", "prior_sigma_m", "posterior_sigma_m", "valid_robots"),
-        *(f"prior_{axis}_m" for axis in XYZ),
-        *(f"posterior_{axis}_m" for axis in XYZ),
+        *(f"prior_{axis}_m" for axis in AXES),
+        *(f"posterior_{axis}_m" for axis in AXES),
         *("nis", "pan_deg", "tilt_deg", "refused", "faults"),
     ),
     "Clock": ("rate", "dive_s", "wall_s"),  # wall_s: Unix time
@@ -230,3 +213,8 @@ def plot(name: str, **values: float | int | bool | None) -> Any:
     if values.keys() != set(PLOTS[name]):
         raise ValueError(f"aucamp.{name}: {sorted(values.keys() ^ set(PLOTS[name]))} given or missing")
     return message_class(name)(**{field: math.nan if value is None else value for field, value in values.items()})
+
+
+def plot_of(name: str, row: Mapping[str, Any]) -> Any:
+    """The same of a row that has more columns."""
+    return plot(name, **{field: row[field] for field in PLOTS[name]})

@@ -9,6 +9,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import Any, NamedTuple, TypeVar
 
+import msgspec
 import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
@@ -37,9 +38,10 @@ from agent.core.capability_messages import (
     measured,
 )
 from agent.core.codec import Refusal, decode
-from agent.core.config import Fleet, Pose
+from agent.core.config import Fleet
 from agent.core.messages import Image, LogLine, Message, State
 from agent.core.ranging.camera_model import Calibration, CameraFit
+from agent.core.robot_view import RobotView, in_own_name, robot_view
 from agent.core.step_io import Inputs, Outputs, Sighting, Telemetry
 from replay.files import channels
 from replay.files.channels import VISION, Entry, name, network_topic
@@ -47,7 +49,7 @@ from replay.files.frames import MAX_FRAME, Frames, Picture, image, pixels, schem
 from replay.files.info import ClockRate
 from replay.files.log import Record
 from replay.viewers import foxglove
-from replay.viewers.foxglove import plot
+from replay.viewers.foxglove import plot, plot_of
 
 # --- a survey ---
 # What viewers see of a survey: what each sweep measured, where each robot looks next, and the map that comes of it.
@@ -221,6 +223,7 @@ def sweep_points(depth: SweepDepth, camera: CameraFit) -> tuple[NDArray[np.float
 M = TypeVar("M", bound=Message)
 
 KNOWS = {"blind": 0, "told": 1, "sees": 2}
+SHOWN = (topics.STATE, topics.CLAIM, topics.KEYFRAME, topics.LOG, topics.IMAGE)
 
 
 class ViewerChannels:
@@ -271,11 +274,12 @@ class ViewerChannels:
     def _inputs(self, entry: Entry) -> Iterator[Made]:
         inputs = _own(entry, Inputs)
         for telemetry in inputs.telemetry:
-            yield name(channels.ATTITUDE, robot=self._robot), telemetry.t_ns, attitude(telemetry)
-            yield name(channels.THRUSTERS, robot=self._robot), telemetry.t_ns, thrusters(telemetry)
+            row = telemetry_row(telemetry)
+            yield name(channels.ATTITUDE, robot=self._robot), telemetry.t_ns, plot_of("Attitude", row)
+            yield name(channels.THRUSTERS, robot=self._robot), telemetry.t_ns, plot_of("Thrusters", row)
         for sighting in inputs.sightings:
             chunks = {"robot": self._robot, **topics.target_chunk(self._fleet.target, sighting.target)}
-            yield name(channels.FOCUS, **chunks), sighting.t_ns, focus(sighting)
+            yield name(channels.FOCUS, **chunks), sighting.t_ns, plot_of("Focus", sighting_row(sighting))
 
     def _outputs(self, entry: Entry) -> Iterator[Made]:
         outputs = _own(entry, Outputs)
@@ -322,37 +326,34 @@ class ViewerChannels:
     def _network(self, entry: Entry) -> Iterator[Made]:
         """What robots show to whoever looks, in a fleet file."""
         row = network_topic(entry.channel)
-        if row is None:
+        if row is None or row[0] not in SHOWN:
             return
-        topic, chunks = row
-        if topic is topics.STATE and (state := decode(entry.data, State)).robot == chunks["robot"]:
-            yield from self._state(state)
-        elif topic is topics.CLAIM and (claim := decode(entry.data, Claim, topic.limit)).src == chunks["src"]:
-            yield from self._survey.claim(claim)
-        elif topic is topics.KEYFRAME and (said := decode(entry.data, Keyframe, topic.limit)).src == chunks["src"]:
-            yield from self._survey.heard(said)
-        elif topic is topics.LOG and (line := decode(entry.data, LogLine)).robot == chunks["robot"]:
-            yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
-        elif topic is topics.IMAGE and (seen := decode(entry.data, Image, topic.limit)).robot == chunks["robot"]:
-            shown = image(seen.robot, seen.jpeg, "jpeg", seen.t_ns)
-            yield name(channels.PREVIEW, robot=seen.robot), seen.t_ns, shown
+        match in_own_name(*row, entry.data):
+            case State() as state:
+                yield from self._state(state)
+            case Claim() as claim:
+                yield from self._survey.claim(claim)
+            case Keyframe() as said:
+                yield from self._survey.heard(said)
+            case LogLine() as line:
+                yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
+            case Image() as seen:
+                shown = image(seen.robot, seen.jpeg, "jpeg", seen.t_ns)
+                yield name(channels.PREVIEW, robot=seen.robot), seen.t_ns, shown
 
     def _state(self, state: State) -> Iterator[Made]:
         if state.target not in self._fleet.target:
             raise Refusal("target", f"target '{state.target}' is not in the fleet file")
         robot, t_ns = state.robot, state.sent_ns
         chunks = {"robot": robot, **topics.target_chunk(self._fleet.target, state.target)}
-        own = self._fleet.robot.get(robot)
-        place = _place(state, own.pose) if own is not None else None
-        if place is not None:
-            tree = foxglove.transforms(state, place, self._fleet.body, self._fleet.tank.surface_m)
-            if tree is not None:
-                yield name(channels.TF, robot=robot), t_ns, tree
+        view = robot_view(state, self._fleet)
+        if (tree := foxglove.transforms(view, self._fleet.body)) is not None:
+            yield name(channels.TF, robot=robot), t_ns, tree
         if state.prior_m is not None:
             yield name(channels.PRIOR, **chunks), t_ns, foxglove.position(state.prior_m, t_ns)
         if state.posterior_m is not None:
             yield name(channels.ESTIMATE, **chunks), t_ns, foxglove.position(state.posterior_m, t_ns)
-        yield name(channels.PROTOCOL, **chunks), t_ns, protocol(state)
+        yield name(channels.PROTOCOL, **chunks), t_ns, protocol(view)
         weights = state.explain.weights if state.explain is not None else {}
         for other in state.neighbours:
             if other.robot not in self._fleet.robot:
@@ -360,87 +361,38 @@ class ViewerChannels:
             yield (
                 name(channels.NEIGHBOUR, **chunks, neighbour=other.robot),
                 t_ns,
-                plot(
-                    "Neighbour",
-                    age_s=other.age_s,
-                    valid=other.valid,
-                    used=other.used,
-                    heard=other.heard,
-                    gaps=other.gaps,
-                    weight=weights.get(other.robot),
-                ),
+                plot_of("Neighbour", {**msgspec.structs.asdict(other), "weight": weights.get(other.robot)}),
             )
 
 
-def attitude(telemetry: Telemetry) -> Any:
-    """aucamp.Attitude."""
-    return plot(
-        "Attitude",
-        depth_m=telemetry.depth_m,
-        roll_deg=telemetry.roll_deg,
-        pitch_deg=telemetry.pitch_deg,
-        battery_v=telemetry.battery_v,
-        armed=telemetry.armed,
-        failsafe_level=telemetry.ladder,
-        loop_us=telemetry.loop_us,
-        **{f"sensor{n}_depth_m": depth for n, depth in enumerate(telemetry.sensor_depth_m, start=1)},
-    )
+def telemetry_row(t: Telemetry) -> dict[str, Any]:
+    """Columns of plots and tables, by their names."""
+    return {
+        **{name: getattr(t, name) for name in ("depth_m", "roll_deg", "pitch_deg")},
+        **{f"sensor{n}_depth_m": depth_m for n, depth_m in enumerate(t.sensor_depth_m, start=1)},
+        **{f"pwm{n}_us": us for n, us in enumerate(t.pulses_us, start=1)},
+        **{f"servo{n}_us": us for n, us in enumerate(t.servos_us, start=1)},
+        "battery_v": t.battery_v,
+        "armed": int(t.armed),
+        "failsafe_level": t.ladder,
+        "loop_us": t.loop_us,
+    }
 
 
-def thrusters(telemetry: Telemetry) -> Any:
-    """aucamp.Thrusters."""
-    pulses = {f"pwm{n}_us": us for n, us in enumerate(telemetry.pulses_us, start=1)}
-    return plot("Thrusters", **pulses, **{f"servo{n}_us": us for n, us in enumerate(telemetry.servos_us, start=1)})
+def sighting_row(seen: Sighting) -> dict[str, Any]:
+    """Columns of plots and tables, by their names; `position`, in plots, is `lens_position`."""
+    (u_px, v_px), (width_px, height_px) = seen.centre_px or (None, None), seen.size_px or (None, None)
+    at = {"u_px": u_px, "v_px": v_px, "width_px": width_px, "height_px": height_px}
+    lens = {"position": seen.focus, "lens_position": seen.focus}
+    return {**msgspec.structs.asdict(seen), **at, **lens, "found": int(seen.found)}
 
 
-def focus(sighting: Sighting) -> Any:
-    """aucamp.Focus."""
-    u_px, v_px = sighting.centre_px or (None, None)
-    return plot(
-        "Focus",
-        position=sighting.focus,
-        clarity=sighting.clarity,
-        score=sighting.score,
-        found=sighting.found,
-        u_px=u_px,
-        v_px=v_px,
-        radius_px=sighting.radius_px,
-        radius_sigma_px=sighting.radius_sigma_px,
-        area_px=sighting.area_px,
-        sweep=sighting.sweep,
-        index=sighting.index,
-    )
-
-
-def protocol(state: State) -> Any:
+def protocol(view: RobotView) -> Any:
     """aucamp.Protocol. `knows`: 0 blind, 1 told, 2 sees; `valid_robots`: in the valid set as this robot knows it."""
-    prior = state.prior_m or (None, None, None)
-    posterior = state.posterior_m or (None, None, None)
-    return plot(
-        "Protocol",
-        iteration=state.t,
-        knows=KNOWS[state.knows],
-        measurements=state.measurements,
-        alpha=state.alpha,
-        prior_sigma_m=state.prior_sigma_m,
-        posterior_sigma_m=state.posterior_sigma_m,
-        valid_robots=(state.knows == "sees") + sum(other.valid for other in state.neighbours),
-        **{f"prior_{axis}_m": value for axis, value in zip("xyz", prior, strict=True)},
-        **{f"posterior_{axis}_m": value for axis, value in zip("xyz", posterior, strict=True)},
-        nis=state.explain.nis if state.explain is not None else None,
-        pan_deg=state.pan_deg,
-        tilt_deg=state.tilt_deg,
-        refused=sum(state.refused.values()),
-        faults=len(state.faults),
-    )
-
-
-def _place(state: State, moored: Pose) -> Pose | None:
-    """Where the body is; None: it swims, and does not know."""
-    at = state.whereabouts
-    if at is UNSET:
-        return moored
-    return None if at is None else Pose(x_m=at.x_m, y_m=at.y_m, yaw_deg=at.yaw_deg)
+    state = view.said
+    counts = {"knows": KNOWS[state.knows], "refused": sum(state.refused.values()), "faults": len(state.faults)}
+    nis = state.explain.nis if state.explain is not None else None
+    return plot_of("Protocol", {**view.row, **counts, "nis": nis})
 
 
 def _own(entry: Entry, kind: type[M]) -> M:

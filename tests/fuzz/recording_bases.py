@@ -11,12 +11,12 @@ from typing import NamedTuple
 import cv2
 from mcap.writer import Writer
 
-from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.check.reexecute import open_box
 from replay.files.channels import STEP_OUT, Entry
 from replay.files.info import info
 from replay.files.log import read
 from replay.files.mcap_file import Part
+from replay.recorder import BlackBoxWriter, black_box_log
 from tests.golden.make import Case, dive
 from tests.places import GOLDEN
 from tests.replay.overheard_run import overheard_run

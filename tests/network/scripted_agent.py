@@ -22,8 +22,8 @@ from agent.process.launch import until_signal
 from agent.process.transport import Transport, fleet_clock
 from agent.robot.fleet_reader import load_fleet
 from agent.robot.step import Agent
-from replay.black_box_writer import BlackBoxWriter
 from replay.files.log import LogWriter
+from replay.recorder import BlackBoxWriter
 from tests.known_lens import CAMERA
 from tests.known_lens import PLAIN as FOCUS
 from tests.sample_messages import telemetry

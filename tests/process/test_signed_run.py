@@ -25,10 +25,10 @@ from agent.ground.new_fleet import make_keys
 from agent.process.agent_process import STEP_NS, Runtime, run_facts
 from agent.process.keys import read_public, robot_keys, signing
 from agent.robot.step import Agent
-from replay.black_box_writer import BlackBoxWriter
 from replay.check.check import as_said, check
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.log import LogWriter, info, read
+from replay.recorder import BlackBoxWriter
 from tests.network.scripted_agent import CALIBRATION, Motors, Script
 from tests.process.said import FOREIGN, entry, proposal, said, sample
 

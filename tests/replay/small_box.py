@@ -16,9 +16,9 @@ from agent.core.messages import LogLine, NeighbourState, State
 from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting, Telemetry
 from agent.robot.fleet_reader import load_fleet
-from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.files.info import RateNotes
 from replay.files.log import LogWriter
+from replay.recorder import BlackBoxWriter, black_box_log
 from replay.viewers.viewer_channels import SweepDepth, SweepFrame
 from tests.known_lens import CAMERA, PLAIN
 from tests.places import ROOT

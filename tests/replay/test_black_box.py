@@ -10,10 +10,10 @@ from agent.core.codec import decode, encode
 from agent.core.messages import LogLine, State
 from agent.core.step_io import Inputs, Outputs, SetPoint
 from agent.process.agent_process import Runtime
-from replay.black_box_writer import BlackBoxWriter, black_box_log
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.info import info
 from replay.files.log import read
+from replay.recorder import BlackBoxWriter, black_box_log
 from tests.replay.small_box import CALIBRATION, FLEET, START_NS, state
 
 

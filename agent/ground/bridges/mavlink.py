@@ -22,6 +22,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 from agent.clock import machine
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Level, LogLine, State
+from agent.core.robot_view import robot_view
 from agent.core.topics import LOG, STATE
 from agent.core.verbs import URGENT
 from agent.ground.bridges.outward import ALT_HOLD, SURFACING, Newest, Vehicle, own_word, vehicle
@@ -274,7 +275,7 @@ class Gateway:
             return
         self._newest.take(message, arrived_ns, wall_ns)
         if self._newest.fresh(message.robot, arrived_ns, wall_ns) is not None:
-            told = vehicle(self._fleet.robot[message.robot], message)
+            told = vehicle(robot_view(message, self._fleet))
             self._tell(message.robot, each_state(told, self._origin))
 
     def tick(self, now_ns: int, wall_ns: int) -> None:
@@ -287,7 +288,7 @@ class Gateway:
             if (state := self._newest.fresh(robot, now_ns, wall_ns)) is None:
                 continue
             self._beat_ns[robot] = wall_ns
-            told = vehicle(self._fleet.robot[robot], state)
+            told = vehicle(robot_view(state, self._fleet))
             self._tell(robot, (heartbeat(told), *each_second(told, self._origin)))
             if self._beats[robot] % BEATS_AN_ORIGIN == 0:
                 self._tell(robot, (global_origin(self._origin),))
@@ -348,7 +349,7 @@ class Gateway:
         state = self._newest.fresh(robot, now_ns, wall_ns)
         can: list[Any] = [version(), global_origin(self._origin)]
         if state is not None:
-            told = vehicle(self._fleet.robot[robot], state)
+            told = vehicle(robot_view(state, self._fleet))
             can += (heartbeat(told), *each_second(told, self._origin))
             can += each_state(told, self._origin)
         found = [each for each in can if each.get_msgId() == number]

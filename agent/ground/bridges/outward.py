@@ -1,5 +1,5 @@
 """From a fleet into another network of Zenoh, and never back: which messages are a robot's own, which are recent
-enough, where its body is, and a State as a vehicle.
+enough, and a State as a vehicle.
 
 That network is a second session, by their router on this machine. It knows no rules of ours: whoever reaches it could
 say anything, so nothing is heard there.
@@ -17,9 +17,10 @@ from typing import NamedTuple, Protocol
 from msgspec import UNSET
 
 from agent.clock import machine
-from agent.core.codec import Refusal, decode
-from agent.core.config import Fleet, Robot
-from agent.core.messages import Message, State, Vector
+from agent.core.codec import Refusal
+from agent.core.config import Fleet
+from agent.core.messages import Message, State
+from agent.core.robot_view import RobotView, in_own_name
 from agent.core.status import FAILSAFE
 from agent.core.topics import Topic
 from agent.process.certificates import credentials
@@ -34,17 +35,16 @@ from router_config.settings import client_config
 
 def own_word(received: Received) -> Message | None:
     """The message; None for what cannot be read, and for what says that it is of another than its key does."""
-    topic = received.topic
     with suppress(Refusal):
-        message = decode(received.payload, topic.message, topic.limit)
-        if getattr(message, topic.writer) == received.chunks[topic.writer]:
-            return message
+        message: Message = in_own_name(received.topic, received.chunks, received.payload)
+        return message
     return None
 
 
 # --- into another network ---
 
 PERIOD_S = 0.02  # between two looks at what robots have said
+WORLD = "world"  # name of the world frame, there: it is like ours (robot_view)
 
 
 class Foreign(NamedTuple):
@@ -132,40 +132,6 @@ class Newest:
         return heard.state if max(age_ns, wall_ns - heard.wall_ns) <= STALE_NS else None
 
 
-# --- where a body is ---
-# Where a robot's body is and how it is turned, as it says itself: for languages whose world is like ours.
-#
-# That is z up, x ahead and y to the left: ROS's REP 103, ISO 8855.
-
-WORLD = "world"  # name of the world frame, there
-Quaternion = tuple[float, float, float, float]  # x, y, z, w
-
-
-class Placed(NamedTuple):
-    place_m: Vector  # world frame
-    turned: Quaternion  # of the body in the world
-
-
-def placed(fleet: Fleet, state: State) -> Placed | None:
-    """None where it does not know all of that."""
-    where = fleet.robot[state.robot].pose if state.whereabouts is UNSET else state.whereabouts
-    if where is None or state.depth_m is None or state.roll_deg is None or state.pitch_deg is None:
-        return None
-    turned = quaternion(*map(math.radians, (state.roll_deg, state.pitch_deg, where.yaw_deg)))
-    return Placed((where.x_m, where.y_m, fleet.tank.surface_m - state.depth_m), turned)
-
-
-def quaternion(roll: float, pitch: float, yaw: float) -> Quaternion:
-    """A turn by yaw about z, then by pitch about the new y, then by roll about the new x; radians."""
-    (sr, cr), (sp, cp), (sy, cy) = ((math.sin(angle / 2.0), math.cos(angle / 2.0)) for angle in (roll, pitch, yaw))
-    return (
-        sr * cp * cy - cr * sp * sy,
-        cr * sp * cy + sr * cp * sy,
-        cr * cp * sy - sr * sp * cy,
-        cr * cp * cy + sr * sp * sy,
-    )
-
-
 # --- a robot as a vehicle ---
 # A robot's State as a vehicle: north, east, down, and the words of ArduSub. Pure, and without MAVLink's library.
 #
@@ -197,11 +163,10 @@ class Vehicle(NamedTuple):
     camera_works: bool
 
 
-def vehicle(robot: Robot, state: State) -> Vehicle:
-    """`robot`: its table in the fleet file, which says where a moored one hangs."""
-    where = robot.pose if state.whereabouts is UNSET else state.whereabouts
-    surfaces = f"{FAILSAFE} {SURFACE}" in state.faults or (
-        state.ordered is not UNSET and any(each.endswith(": surface") for each in state.ordered)
+def vehicle(view: RobotView) -> Vehicle:
+    state, where = view.said, view.body
+    surfaces = f"{FAILSAFE} {SURFACE}" in state.faults or any(
+        each.endswith(": surface") for each in state.ordered or ()
     )
     return Vehicle(
         boot_ms=max(0, state.sent_ns - state.incarnation) // 1_000_000 % 2**32,
@@ -217,13 +182,13 @@ def vehicle(robot: Robot, state: State) -> Vehicle:
         yaw_rad=math.remainder(math.radians(90.0 - where.yaw_deg), math.tau) if where else None,
         battery_v=None if state.battery_v is UNSET else state.battery_v,
         pressure_works=state.armed is not None and state.depth_m is not None,
-        camera_works="no frames" not in state.faults,
+        camera_works=not view.blind,
     )
 
 
 def _mode(state: State) -> int:
     """Guided: a robot that swims and does more than to hold its place."""
-    return ALT_HOLD if state.behaviour is UNSET or state.behaviour == "hold" else GUIDED
+    return GUIDED if state.behaviour and state.behaviour != "hold" else ALT_HOLD
 
 
 def _status(state: State, surfaces: bool) -> int:

@@ -15,8 +15,9 @@ from rosbags.typesys import Stores, get_typestore
 
 from agent.core.config import Fleet
 from agent.core.messages import Estimate, Image, Message, State
+from agent.core.robot_view import robot_view
 from agent.core.topics import IMAGE, LINK, STATE, Topic, target_chunk
-from agent.ground.bridges.outward import WORLD, Foreign, placed
+from agent.ground.bridges.outward import WORLD, Foreign
 
 # --- keys and tokens of rmw_zenoh ---
 # Keys and tokens by which rmw_zenoh finds topics, and what goes along with each message. Pure.
@@ -81,7 +82,7 @@ def nodes(session: str, domain: int, robots: dict[str, dict[str, Kind]]) -> dict
 # --- messages ---
 # What robots show, as messages of ROS 2. Pure.
 #
-# Our world frame is ROS's own kind (REP 103): z up, body x ahead and y to the left; so are roll, pitch and yaw.
+# Our world frame is ROS's own kind, REP 103 (robot_view); so are roll, pitch and yaw.
 
 ANY_ANGLE = math.pi**2 / 3.0  # variance of an angle of which nothing is known: a ball has none
 POSE, TARGET, CAMERA = "pose", "target", "camera/compressed"
@@ -125,9 +126,11 @@ class Telling:
 
     def pose(self, state: State) -> bytes | None:
         """Where its body is; None where it does not know all of that."""
-        if (at := placed(self._fleet, state)) is None:
+        view = robot_view(state, self._fleet)
+        if view.place_m is None or view.turned is None:
             return None
-        return self._bytes(TYPES[POSE], header=self._header(state.sent_ns, WORLD), pose=self._pose(*at))
+        pose = self._pose(view.place_m, view.turned)
+        return self._bytes(TYPES[POSE], header=self._header(state.sent_ns, WORLD), pose=pose)
 
     def target(self, estimate: Estimate) -> bytes | None:
         """Where it thinks the target is; None while it does not."""

@@ -18,9 +18,10 @@ import msgspec
 from msgspec import UNSET
 
 from agent.core.capability_messages import TURN_ONE, UNIT_M, Claim, holds
-from agent.core.codec import READABLE, Refusal, decode
+from agent.core.codec import READABLE, Refusal
 from agent.core.config import Fleet
 from agent.core.messages import Answer, Estimate, Image, LogLine, Message, Presence, State
+from agent.core.robot_view import in_own_name
 from agent.core.topics import Topic
 
 Shown = str | bytes  # a text message, or a picture
@@ -63,10 +64,7 @@ class Rows:
         key = self.key(topic, chunks)
         if key is None:
             raise Refusal("address", "not shown")
-        said = decode(payload, topic.message, topic.limit, READABLE)
-        if getattr(said, topic.writer) != chunks[topic.writer]:
-            raise Refusal("address", f"on the key of {chunks[topic.writer]}")
-        fields = self._of[topic.message][1](said)
+        fields = self._of[topic.message][1](in_own_name(topic, chunks, payload, READABLE))
         return fields if isinstance(fields, bytes) else text({"k": key, **fields})
 
     def _state(self, state: State) -> Fields:

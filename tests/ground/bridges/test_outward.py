@@ -1,13 +1,15 @@
 """What bridges believe: a robot's word in its own name, of any size that its row allows."""
 
 import math
+from typing import Any
 
 import pytest
 from msgspec.structs import replace
 
 from agent.core.codec import encode
-from agent.core.config import Pose, Robot
+from agent.core.config import Pose
 from agent.core.messages import MAX_JPEG, Estimate, Image, LogLine, Message, Whereabouts
+from agent.core.robot_view import RobotView, robot_view
 from agent.core.topics import IMAGE, LINK, LOG, STATE, Topic
 from agent.ground.bridges.outward import (
     ACTIVE,
@@ -24,6 +26,7 @@ from agent.ground.bridges.outward import (
 )
 from agent.process.transport import Received
 from tests.ground.bridges.states import START_NS, S, state
+from tests.replay.small_box import FLEET
 from tests.sample_messages import estimate
 
 PICTURE = Image(
@@ -110,22 +113,16 @@ def test_a_new_start_has_a_clock_of_its_own() -> None:
 # --- vehicle ---
 # A State as a vehicle: directions, modes, and what nobody knows.
 
-MOORED = Robot(
-    neighbours=(),
-    listen="tcp/127.0.0.1:17401",
-    serial="/dev/a",
-    camera="v4l2:/dev/b",
-    pose=Pose(x_m=1.0, y_m=0.25, yaw_deg=0.0),
-    calibration="r1.toml",
-)
 
-
-def facing(yaw_deg: float) -> Robot:
-    return replace(MOORED, pose=Pose(x_m=1.0, y_m=0.25, yaw_deg=yaw_deg))
+def seen(at: Pose | None = None, **about: Any) -> RobotView:
+    """Of a robot that the fleet file hangs at (1, 0.25) looking along x, or elsewhere."""
+    pose = at or Pose(x_m=1.0, y_m=0.25, yaw_deg=0.0)
+    fleet = replace(FLEET, robot={"r1": replace(FLEET.robot["r1"], pose=pose)})
+    return robot_view(state(**about), fleet)
 
 
 def test_y_is_north_and_x_is_east() -> None:
-    told = vehicle(MOORED, state())
+    told = vehicle(seen())
     assert (told.north_m, told.east_m, told.depth_m, told.place_sigma_m) == (0.25, 1.0, 0.4, None)
 
 
@@ -134,23 +131,23 @@ def test_y_is_north_and_x_is_east() -> None:
 )
 def test_it_looks_where_it_looked(yaw_deg: float, heading_deg: float) -> None:
     """By the directions themselves: along x is east."""
-    told = vehicle(facing(yaw_deg), state())
+    told = vehicle(seen(Pose(x_m=1.0, y_m=0.25, yaw_deg=yaw_deg)))
     assert math.degrees(told.yaw_rad) == pytest.approx(heading_deg)
     ahead = math.cos(math.radians(yaw_deg)), math.sin(math.radians(yaw_deg))
     assert (math.sin(told.yaw_rad), math.cos(told.yaw_rad)) == pytest.approx(ahead)
 
 
 def test_bow_down_is_a_negative_pitch_and_left_side_up_a_positive_roll() -> None:
-    told = vehicle(MOORED, state(roll_deg=2.0, pitch_deg=5.0))
+    told = vehicle(seen(roll_deg=2.0, pitch_deg=5.0))
     assert math.degrees(told.roll_rad) == pytest.approx(2.0)
     assert math.degrees(told.pitch_rad) == pytest.approx(-5.0)
 
 
 def test_one_that_swims_is_where_it_says_and_not_where_its_fleet_file_puts_it() -> None:
     where = Whereabouts(x_m=0.5, y_m=0.75, yaw_deg=90.0, place_sigma_m=0.02, yaw_sigma_deg=1.0)
-    told = vehicle(MOORED, state(whereabouts=where, behaviour="survey"))
+    told = vehicle(seen(whereabouts=where, behaviour="survey"))
     assert (told.north_m, told.east_m, told.place_sigma_m, told.mode) == (0.75, 0.5, 0.02, GUIDED)
-    lost = vehicle(MOORED, state(whereabouts=None, behaviour="hold"))
+    lost = vehicle(seen(whereabouts=None, behaviour="hold"))
     assert (lost.north_m, lost.east_m, lost.yaw_rad, lost.mode) == (None, None, None, ALT_HOLD)
 
 
@@ -170,5 +167,5 @@ def test_one_that_swims_is_where_it_says_and_not_where_its_fleet_file_puts_it() 
     ids=str,
 )
 def test_what_it_does(about: dict, armed: bool, mode: int, status: int) -> None:
-    told = vehicle(MOORED, state(**about))
+    told = vehicle(seen(**about))
     assert (told.armed, told.mode, told.status) == (armed, mode, status)

@@ -20,6 +20,7 @@ from mcap_protobuf.decoder import DecoderFactory
 
 from agent.core.codec import decode
 from agent.core.ranging.camera_model import camera_pose
+from agent.core.robot_view import robot_view
 from agent.core.step_io import Sighting
 from replay.files.channels import FRAME, VISION, Entry
 from replay.files.frames import EXACT_EVERY, Frames, pixels
@@ -175,9 +176,8 @@ def rotate(turn: Turn, v: tuple[float, float, float]) -> np.ndarray:
 
 
 def test_the_frame_tree_ends_where_the_kernel_says_the_camera_is() -> None:
-    seen = state(START_NS, 0)
     place, surface_m = FLEET.robot["r1"].pose, FLEET.tank.surface_m
-    tree = transforms(seen, place, FLEET.body, surface_m)
+    tree = transforms(robot_view(state(START_NS, 0), FLEET), FLEET.body)
     assert [(link.parent_frame_id, link.child_frame_id) for link in tree.transforms] == [
         ("world", "r1/body"),
         ("r1/body", "r1/gimbal"),
