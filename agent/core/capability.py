@@ -144,7 +144,7 @@ class TargetView(NamedTuple):
     """What the robot knows of one target."""
 
     name: str
-    believed: Posterior | None
+    believed: Posterior | None  # None as well of a target that is neither watched nor what a behaviour is about
     pending: bool  # a measurement awaits the next iteration
     by_others: Posterior | None = None  # where all but this robot see it; of the target that aids the own pose
     estimate: TargetEstimate | None = None  # what the fleet agrees on; of the target of the behaviour
@@ -289,8 +289,8 @@ class Capability(Revertible):
         """Go on, once targets are estimated. Returns the situation with its own fields as they are now."""
         return situation
 
-    def bearing(self, target: TargetView, now_ns: int) -> Bearing | None:
-        """What the newest frame says of that target, once, in place of a sweep."""
+    def bearing(self, target: str, believed: Callable[[], Posterior | None], now_ns: int) -> Bearing | None:
+        """What the newest frame says of that target, once, in place of a sweep. believed: where it is, so far."""
         return None
 
     def propose(self, situation: Situation) -> Iterable[Proposal[Any]]:

@@ -57,7 +57,7 @@ def decode(
         if said not in accepted:
             raise Refusal("schema", f"schema {said}, ours is {SCHEMA}")
     try:
-        return msgspec.convert(fields, kind, builtin_types=(bytes,))
+        return msgspec.convert(kind.upgraded(fields), kind, builtin_types=(bytes,))
     except msgspec.ValidationError as error:
         raise Refusal("content", str(error)[:200]) from None
     except RecursionError:

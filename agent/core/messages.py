@@ -51,6 +51,11 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
             if not _finite(getattr(self, name)):
                 raise ValueError(f"{name} is not finite")
 
+    @classmethod
+    def upgraded(cls, fields: dict[str, Any]) -> dict[str, Any]:
+        """The fields of an older recording as this version names them."""
+        return fields
+
 
 def _finite(value: Any) -> bool:
     if isinstance(value, float):

@@ -5,13 +5,16 @@ Units, times and frames as in messages.py.
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Iterator
+from typing import Annotated, Any, Literal
 
+import msgpack
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
-from agent.core.capability_messages import Claim, Keyframe, Light
-from agent.core.messages import Answer, Count, Estimate, Id, LogLine, Message, Presence, State, Vector
+from agent.core.codec import READABLE, decode
+from agent.core.messages import Answer, Count, Estimate, Id, LogLine, Message, State, Vector
+from agent.core.topics import Topic
 
 Slope = tuple[float, float]
 
@@ -102,9 +105,7 @@ class Heard(Message, frozen=True, kw_only=True):
     arrived_ns: int
     src: Id  # from the key it came on
     payload: bytes
-    topic: Literal["near", "claim", "keyframe", "light"] | UnsetType = (
-        UNSET  # the row of topics.py that its key is of; unset: link
-    )
+    topic: Id | UnsetType = UNSET  # the row of topics.py that its key is of; unset: link
 
 
 class DroppedPayloads(Message, frozen=True, kw_only=True):
@@ -190,6 +191,21 @@ class SweepOutcome(Message, frozen=True, kw_only=True):
     lit: tuple[Id, ...] | UnsetType = UNSET  # and that burned, as their robots said
 
 
+class Said(Message, frozen=True, kw_only=True):
+    """A message of a capability to one neighbour, as it is sent."""
+
+    topic: Id  # a row of topics.py
+    to: Id
+    payload: bytes
+
+
+class Grant(Message, frozen=True, kw_only=True):
+    """Who has a resource from this step on."""
+
+    resource: Literal["camera", "body", "lamp"]
+    holder: Id  # a row of the table of priorities
+
+
 class Outputs(Message, frozen=True, kw_only=True):
     """All that one step decided."""
 
@@ -198,13 +214,33 @@ class Outputs(Message, frozen=True, kw_only=True):
     says: tuple[Estimate, ...] = ()
     state: State | None = None
     log: tuple[LogLine, ...] = ()
-    near: tuple[Presence, ...] | UnsetType = UNSET  # where a robot that swims is, to its neighbours; unset: not now
-    claims: tuple[Claim, ...] | UnsetType = UNSET  # where it looks next and what it holds; unset: not now
-    keyframes: tuple[Keyframe, ...] | UnsetType = UNSET  # what was seen, to neighbours that lack it; unset: nothing
-    light: tuple[Light, ...] | UnsetType = UNSET  # whose lamps burn, to neighbours; unset: not now
+    outgoing: tuple[Said, ...] | UnsetType = UNSET  # what capabilities tell neighbours; unset: nothing
+    grants: tuple[Grant, ...] | UnsetType = UNSET  # that are others than in the step before; unset: none
     lens: int | UnsetType | None = UNSET  # position between sweeps from now on; none: for landmarks; unset: as before
     outcome: SweepOutcome | UnsetType = UNSET  # left out but where a sweep ended: steps without one stay as they were
     answers: tuple[Answer, ...] | UnsetType = UNSET  # to `Inputs.orders`, one by one; unset: there were none
     motors: Motors | UnsetType = UNSET  # as ordered in this step; unset: as before
     box: TargetBox | UnsetType = UNSET  # around a target, as an operator drew it; unset: as before
     preview_hz: float | UnsetType = UNSET  # rate of previews for observers, from now on; unset: as before
+
+    @classmethod
+    def upgraded(cls, fields: dict[str, Any]) -> dict[str, Any]:
+        """Outputs as older recordings have them: each topic of a capability was a field of its own."""
+        if not fields.keys() & OLDER.keys():
+            return fields
+        said = [
+            {"topic": topic, "to": each.get("dst"), "payload": msgpack.packb(each)}
+            for name, topic in OLDER.items()
+            for each in fields.get(name, ())
+            if isinstance(each, dict)
+        ]
+        return {**{name: held for name, held in fields.items() if name not in OLDER}, "outgoing": said}
+
+    def said(self, topic: Topic) -> Iterator[Any]:
+        """What neighbours are told on a topic, decoded."""
+        for each in self.outgoing or ():
+            if each.topic == topic.name:
+                yield decode(each.payload, topic.message, topic.limit, READABLE)
+
+
+OLDER = {"near": "near", "claims": "claim", "keyframes": "keyframe", "light": "light"}  # field, and topic

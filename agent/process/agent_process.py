@@ -21,10 +21,9 @@ import msgspec
 from msgspec import UNSET
 
 from agent.clock.clock import LOOP, SERIAL, Clock, Part, part_name
-from agent.core.capability_messages import Claim, Keyframe, Light
 from agent.core.codec import encode
 from agent.core.config import ConfigError, Fleet, Robot
-from agent.core.messages import MAX_TEXT, SCHEMA, Answer, Estimate, Image, Level, LogLine, Mode, Presence, State
+from agent.core.messages import MAX_TEXT, SCHEMA, Answer, Estimate, Image, Level, LogLine, Mode, State
 from agent.core.ranging.camera_model import Calibration, load_calibration
 from agent.core.robot_view import robot_view
 from agent.core.step_io import (
@@ -35,6 +34,7 @@ from agent.core.step_io import (
     Inputs,
     Ordered,
     Outputs,
+    Said,
     SeenTags,
     SetPoint,
     Sighting,
@@ -203,14 +203,8 @@ class Runtime:
     def _say(self, outputs: Outputs) -> None:
         for estimate in outputs.says:
             self._network.say(self._sign(estimate))
-        for presence in outputs.near or ():
-            self._network.say(presence)
-        for claim in outputs.claims or ():
-            self._network.say(claim)
-        for keyframe in outputs.keyframes or ():
-            self._network.say(keyframe)
-        for light in outputs.light or ():
-            self._network.say(light)
+        for said in outputs.outgoing or ():
+            self._network.say(said)
         for message in (*(() if outputs.state is None else (outputs.state,)), *outputs.log):
             self._network.show(message)
 
@@ -479,7 +473,7 @@ LAST_S = 0.5  # how long the end waits for a terminal
 
 class Network(Protocol):
     def drain(self) -> tuple[tuple[Heard, ...], tuple[DroppedPayloads, ...]]: ...
-    def say(self, message: Estimate | Presence | Claim | Keyframe | Light) -> None: ...
+    def say(self, message: Estimate | Said) -> None: ...
     def show(self, message: State | LogLine | Image) -> None: ...
     def orders(self) -> tuple[Ordered, ...]: ...
     def answer(self, answers: Sequence[Answer]) -> None: ...

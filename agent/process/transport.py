@@ -18,11 +18,10 @@ from typing import NamedTuple, Self
 from agent.clock import machine
 from agent.clock.clock import Clock, RunClock, SystemClock
 from agent.core import topics
-from agent.core.capability_messages import Claim, Keyframe, Light
 from agent.core.codec import encode
 from agent.core.config import ConfigError, Fleet
-from agent.core.messages import Answer, Estimate, Image, LogLine, Message, Presence, State
-from agent.core.step_io import DroppedPayloads, Heard, Ordered
+from agent.core.messages import Answer, Estimate, Image, LogLine, Message, State
+from agent.core.step_io import DroppedPayloads, Heard, Ordered, Said
 from agent.core.topics import ANSWER, IMAGE, LINK, LOG, STATE, TOPICS, Topic
 from agent.core.verbs import prepare_all
 from agent.process.certificates import certificate_file, hosts_of, read_certificate
@@ -39,7 +38,6 @@ from router_config.settings import (
     router_config,
 )
 
-Told = Presence | Claim | Keyframe | Light
 LOOKER = "view"  # as whom people look at a secured fleet, by the name that every fleet file has for it
 OBSERVED = 4096  # messages an observer keeps between two drains, oldest dropped first: a minute of three robots
 
@@ -61,7 +59,7 @@ class Transport:
         self._strangers = Strangers(fleet, robot)
         self._box = OrderBox(fleet, robot, clock)
         self._links: dict[tuple[str, str], Publish] = {}  # neighbour, target
-        self._tell: dict[tuple[str, type[Message]], Publish] = {}  # neighbour, what it is told beside estimates
+        self._tell: dict[tuple[str, str], Publish] = {}  # neighbour, topic of what it is told beside estimates
         self._shows: dict[tuple[type[Message], str], Publish] = {}  # kind, target
         self._open = contextlib.ExitStack()
 
@@ -118,18 +116,18 @@ class Transport:
         whose lamps burn."""
         for name in self._fleet.robot[self._robot].neighbours:
             key = topics.key(row, fleet=self._fleet.fleet, src=self._robot, dst=name)
-            self._tell[name, row.message] = session.publisher(row, key)
+            self._tell[name, row.name] = session.publisher(row, key)
         session.subscribe(topics.key(row, fleet=self._fleet.fleet, src="*", dst=self._robot), self._arrived)
 
-    def say(self, message: Estimate | Told) -> None:
-        """Send to the neighbour `message.dst`. Never blocks; under pressure, or by fault injection, it is lost."""
+    def say(self, message: Estimate | Said) -> None:
+        """Send to the neighbour that it is for. Never blocks; under pressure, or by fault injection, it is lost."""
         if self._random.random() < self._fleet.link.loss:
             self.lost += 1
             return
         if isinstance(message, Estimate):
             self._links[message.dst, message.target](encode(message))
         else:
-            self._tell[message.dst, type(message)](encode(message))
+            self._tell[message.to, message.topic](message.payload)
 
     def show(self, message: State | LogLine | Image) -> None:
         """Publish to whoever looks. Never blocks; previews come from vision's thread."""

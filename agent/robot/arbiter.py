@@ -16,7 +16,7 @@ from agent.capabilities.swim.swim import Swim
 from agent.core.capability import Capability, Context, Illumination, PoseSource, Proposal, Resource, Situation
 from agent.core.codec import Refusal
 from agent.core.config import Fleet
-from agent.core.step_io import Heard
+from agent.core.step_io import Grant, Heard
 from agent.core.step_transaction import Revertible
 
 # --- capabilities ---
@@ -101,6 +101,13 @@ class Arbiter(Revertible):
 
     def __init__(self) -> None:
         self.held: dict[Resource, str] = {}  # by which row, in the newest step
+        self._told: dict[Resource, str] = {}  # likewise, as it was told last
+
+    def changes(self) -> tuple[Grant, ...]:
+        """Resources that have another holder than when this was asked last."""
+        new = {resource: holder for resource, holder in self.held.items() if self._told.get(resource) != holder}
+        self._told.update(new)
+        return tuple(Grant(resource=resource, holder=holder) for resource, holder in new.items())
 
     def grant(self, resource: Resource, proposals: Iterable[Proposal[Any]], situation: Situation) -> Any:
         """The command of the first row that takes the resource; None where nobody proposes anything."""

@@ -23,15 +23,13 @@ from agent.core.capability import (
     Percept,
     Proposal,
     Situation,
-    TargetView,
 )
-from agent.core.capability_messages import Claim, Keyframe, Light
+from agent.core.codec import encode
 from agent.core.config import Fleet, common
-from agent.core.estimation.interface import Bearing
-from agent.core.messages import SCHEMA, Presence
+from agent.core.messages import SCHEMA
 from agent.core.ranging.camera_model import Calibration
 from agent.core.status import Status
-from agent.core.step_io import Inputs, Outputs, SetPoint
+from agent.core.step_io import Inputs, Outputs, Said, SetPoint
 from agent.core.step_transaction import Net, Revertible
 from agent.robot.arbiter import Arbiter, Equipment
 from agent.robot.inbox import Inbox
@@ -59,7 +57,7 @@ class Agent(Revertible):
         self.telemetry = Telemetry(self.targets, self.status, self.attitude, self.capabilities, self.net)
         self.operator = Operator(fleet, name, incarnation, self.capabilities, self.status.log)
         self.arbiter = Arbiter()
-        targets = self.measuring.views(None, 0)
+        targets = self.measuring.views(None, (), 0)
         self._situation = Situation(0, None, self._robot.pose, self.seek.view(0), self.measuring.watched, targets)
         self._signed = False
 
@@ -76,7 +74,7 @@ class Agent(Revertible):
     def _step(self, inputs: Inputs, now_ns: int) -> Outputs:
         situation = self._take_in(inputs, now_ns)
         outcome = self.measuring.measure(now_ns)
-        self.measuring.iterate(situation.own, self._bearing, now_ns)
+        self.measuring.iterate(situation.own, self.capabilities.values(), now_ns)
         situation = self._decide(situation)
         camera: CameraAct = self.arbiter.grant("camera", self._proposals(situation), situation)
         self.seek.carry_out(camera, now_ns)
@@ -91,7 +89,6 @@ class Agent(Revertible):
         state, log = self.telemetry.state(*shown), self.status.log.fetch(now_ns)
         body: BodyAct = self.arbiter.grant("body", self._proposals(situation), situation) or BodyAct()
         self._situation = situation
-        outgoing = [each for one in self.capabilities.values() for each in one.outgoing(situation)]
         lenses = (one.lens(now_ns) for one in self.capabilities.values())
         return Outputs(
             sweep=camera.plan,
@@ -99,10 +96,8 @@ class Agent(Revertible):
             state=state,
             log=log,
             set_point=self._set_point(body, lamp, situation),
-            near=tuple(each.message for each in outgoing if isinstance(each.message, Presence)) or UNSET,
-            claims=tuple(each.message for each in outgoing if isinstance(each.message, Claim)) or UNSET,
-            keyframes=tuple(each.message for each in outgoing if isinstance(each.message, Keyframe)) or UNSET,
-            light=tuple(each.message for each in outgoing if isinstance(each.message, Light)) or UNSET,
+            outgoing=self._outgoing(situation) or UNSET,
+            grants=self.arbiter.changes() or UNSET,
             lens=next((lens for lens in lenses if lens is not UNSET), UNSET),
             outcome=outcome,
         )
@@ -137,13 +132,14 @@ class Agent(Revertible):
     def _decide(self, situation: Situation) -> Situation:
         """What is believed before anything is granted."""
         now_ns = situation.now_ns
-        camera, targets = self.seek.view(now_ns), self.measuring.views(situation.own, now_ns)
-        situation = situation._replace(camera=camera, targets=targets)
+        camera, own = self.seek.view(now_ns), situation.own
+        situation = situation._replace(camera=camera, targets=self.measuring.views(own, (), now_ns))
         for one in self.capabilities.values():
             situation = one.decide(situation)
         self.seek.search(situation.search)
-        self.measuring.take_turns(situation.own and situation.own.pursues)
-        return situation._replace(watched=self.measuring.watched, camera=self.seek.view(now_ns))
+        self.measuring.take_turns(own and own.pursues)
+        watched, camera = self.measuring.watched, self.seek.view(now_ns)
+        return situation._replace(watched=watched, camera=camera, targets=self.measuring.views(own, (watched,), now_ns))
 
     def _proposals(self, situation: Situation) -> Iterable[Proposal[Any]]:
         yield from self.operator.propose(situation)
@@ -151,9 +147,10 @@ class Agent(Revertible):
             yield from one.propose(situation)
         yield from self.measuring.propose(situation)
 
-    def _bearing(self, target: TargetView, now_ns: int) -> Bearing | None:
-        found = (one.bearing(target, now_ns) for one in self.capabilities.values())
-        return next((bearing for bearing in found if bearing is not None), None)
+    def _outgoing(self, situation: Situation) -> tuple[Said, ...]:
+        """What capabilities tell neighbours in this step."""
+        told = (each for one in self.capabilities.values() for each in one.outgoing(situation))
+        return tuple(Said(topic=each.topic.name, to=each.to, payload=encode(each.message)) for each in told)
 
     def _level(self, now_ns: int) -> Attitude | None:
         newest = self.attitude.newest

@@ -5,7 +5,7 @@ It proposes for the camera as capabilities do, on the last row of the table: wha
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
@@ -27,7 +27,7 @@ from agent.core.capability import (
 from agent.core.config import common
 from agent.core.control.sweep import Measurement, Rejected
 from agent.core.estimation.evidence_table import inside
-from agent.core.estimation.interface import Bearing, Prior
+from agent.core.estimation.interface import Prior
 from agent.core.estimation.protocols import iteration_ns
 from agent.core.messages import Estimate, Level, Mode, State
 from agent.core.ranging.camera_model import Eye
@@ -151,7 +151,7 @@ class Targets(Revertible):
 
     # --- iterations -------------------------------------------------------------------------------------------
 
-    def iterate(self, own: OwnView | None, bearing: Callable[[TargetView, int], Bearing | None], now_ns: int) -> None:
+    def iterate(self, own: OwnView | None, capabilities: Iterable[Capability], now_ns: int) -> None:
         """One each period; a sweep that is nearly done is waited for, a frame of what swims does not wait itself."""
         target, elapsed_ns = self.current, now_ns - self._iterated_ns
         period_ns = self._iteration_ns[target.name]
@@ -160,7 +160,8 @@ class Targets(Revertible):
         if elapsed_ns < due_ns or (comes and elapsed_ns < LATEST_ITERATION * period_ns):
             return
         self._iterated_ns = now_ns
-        target.observe(bearing(self._view(target, None, now_ns), now_ns))
+        bearings = (one.bearing(target.name, lambda: target.estimator.posterior, now_ns) for one in capabilities)
+        target.observe(next((bearing for bearing in bearings if bearing is not None), None))
         for each in self.all.values():
             each.catch_up(now_ns)
         if target.iterate(now_ns):
@@ -174,14 +175,15 @@ class Targets(Revertible):
             self._scheduler.next({name: each.estimator.t for name, each in self.all.items()}, pursues)
         self._turned = self.watched != before
 
-    def views(self, own: OwnView | None, now_ns: int) -> tuple[TargetView, ...]:
-        """What is known of each now. own: which of them are asked about more."""
-        return tuple(self._view(each, own, now_ns) for each in self.all.values())
+    def views(self, own: OwnView | None, watched: Collection[str], now_ns: int) -> tuple[TargetView, ...]:
+        """What is known of each now, in full of those that are watched and of what the own behaviour is about."""
+        return tuple(self._view(each, own, watched, now_ns) for each in self.all.values())
 
-    def _view(self, target: TargetState, own: OwnView | None, now_ns: int) -> TargetView:
+    def _view(self, target: TargetState, own: OwnView | None, watched: Collection[str], now_ns: int) -> TargetView:
+        asked = target.name in watched or (own is not None and own.about == target.name)
         return TargetView(
             target.name,
-            target.estimator.posterior,
+            target.estimator.posterior if asked else None,
             target.prior is not None,
             target.estimator.by_others() if self._source.aided_by == target.name else None,
             target.estimate(now_ns) if own is not None and own.about == target.name else None,

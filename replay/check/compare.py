@@ -18,6 +18,7 @@ import msgpack
 
 from agent.core.config import ConfigError, Struct, convert
 from agent.core.messages import SCHEMA
+from agent.core.step_io import OLDER
 
 
 class Absent:
@@ -87,10 +88,20 @@ def differences(recorded: bytes, replayed: bytes) -> list[Difference]:
     if recorded == replayed:
         return []
     try:
-        fields = msgpack.unpackb(recorded)
-    except (ValueError, TypeError, msgpack.UnpackException, RecursionError):
+        fields = opened(msgpack.unpackb(recorded))
+    except (ValueError, TypeError, KeyError, AttributeError, msgpack.UnpackException, RecursionError):
         return [Difference("outputs", f"{len(recorded)} bytes that are no message", "a message")]
-    return list(_walk(fields, msgpack.unpackb(replayed), ""))
+    return list(_walk(fields, opened(msgpack.unpackb(replayed)), ""))
+
+
+def opened(outputs: Any) -> Any:
+    """Outputs of a step with what neighbours are told by its topic, message by message, as older recordings have it."""
+    if not isinstance(outputs, dict):
+        return outputs
+    fields = {OLDER.get(name, name): held for name, held in outputs.items() if name != "outgoing"}
+    for said in outputs.get("outgoing", ()):
+        fields.setdefault(said["topic"], []).append(msgpack.unpackb(said["payload"]))
+    return dict(sorted(fields.items()))
 
 
 def _walk(recorded: Any, replayed: Any, path: str) -> Iterator[Difference]:

@@ -16,7 +16,6 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from msgspec import UNSET
 from numpy.typing import NDArray
 
 from agent.core.codec import decode
@@ -24,6 +23,7 @@ from agent.core.config import Fleet
 from agent.core.messages import Symmetric, Vector
 from agent.core.status import sigma_m
 from agent.core.step_io import Inputs, Outputs
+from agent.core.topics import NEAR
 from replay.check.reexecute import STEP_BYTES, BlackBox
 from replay.report.page import Table, cell, percent
 
@@ -177,8 +177,7 @@ def _told(
         if step.outputs is None:
             continue
         outputs = decode(step.outputs, Outputs, limit=STEP_BYTES)
-        if outputs.near is not UNSET:
-            glance_until_ns = max((said.glance_until_ns for said in outputs.near), default=glance_until_ns)
+        glance_until_ns = max((said.glance_until_ns for said in outputs.said(NEAR)), default=glance_until_ns)
         for said in outputs.says:
             if said.target == target and said.t != newest_t and said.x_m is not None and said.cov_m2 is not None:
                 newest_t = said.t

@@ -25,6 +25,7 @@ from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Answer, Estimate, LogLine, State, Symmetric, Vector
 from agent.core.robot_view import in_own_name
 from agent.core.step_io import Inputs, Outputs, Sighting, SweepOutcome
+from agent.core.topics import CLAIM, KEYFRAME
 from agent.robot.fleet_reader import load_fleet
 from replay.check.check import Link, links
 from replay.check.reexecute import (
@@ -478,10 +479,10 @@ def surveyed(fleet: Fleet, boxes: Sequence[BlackBox]) -> Surveyed | None:
             if record.channel != STEP_OUT.name:
                 continue
             outputs = decode(record.data, Outputs, STEP_BYTES)
-            for claim in (outputs.claims or ())[:1]:
+            for claim in itertools.islice(outputs.said(CLAIM), 1):
                 _, held = holds(claim)
                 known[box.robot].append(Known(claim.sent_ns, claim.share, held, claim.digest))
-            for said in outputs.keyframes or ():
+            for said in outputs.said(KEYFRAME):
                 frame = said.frame
                 if frame.origin == box.robot:
                     frames.setdefault((frame.origin, frame.incarnation, frame.number), (said.sent_ns, frame))

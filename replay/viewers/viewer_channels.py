@@ -285,9 +285,9 @@ class ViewerChannels:
         outputs = _own(entry, Outputs)
         if outputs.state is not None:
             yield from self._state(outputs.state)
-        for claim in outputs.claims or ():
+        for claim in outputs.said(topics.CLAIM):
             yield from self._survey.claim(claim)
-        for said in outputs.keyframes or ():
+        for said in outputs.said(topics.KEYFRAME):
             yield from self._survey.measured(said)
         for line in outputs.log:
             yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)

@@ -9,14 +9,14 @@ unless the robot knows too little of its own place (Swimmer.glance).
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from msgspec import UNSET, UnsetType
 
 from agent.capabilities.swim.swimmer import Swimmer, pose_of
 from agent.capabilities.swim.tag_fix import TURNING_DEG
 from agent.core.attitude import AttitudeLog
-from agent.core.capability import CameraAct, Situation, TargetView
+from agent.core.capability import CameraAct, Situation
 from agent.core.config import Body, Fleet
 from agent.core.control.pointing import SERVO_LAG_S
 from agent.core.control.search_pattern import rows_deg
@@ -197,10 +197,10 @@ class Pursuit(Revertible):
         """The target of the newest frame that has given no bearing yet."""
         return None if self._newest is None else self._newest.target
 
-    def bearing(self, of: TargetView, now_ns: int) -> Bearing | None:
+    def bearing(self, target: str, belief: Callable[[], Posterior | None], now_ns: int) -> Bearing | None:
         """What the newest frame says of that target, once; None: none showed it, or where from is not known."""
         seen, self._newest = self._newest, None
-        if seen is None or of.name != seen.target or seen.centre_px is None:
+        if seen is None or target != seen.target or seen.centre_px is None:
             return None
         level, gimbal = self._attitude.at(seen.t_ns), self._swimmer.gimbal.at(seen.t_ns)
         if level is None or gimbal is None:
@@ -211,7 +211,7 @@ class Pursuit(Revertible):
         surface_m = self._fleet.tank.surface_m
         eye = camera_pose(pose_of(known[0]), self._fleet.body, *level, *gimbal.deg, surface_m)
         outline = Outline(seen.centre_px, seen.radius_px, seen.score, seen.focus, seen.size_px, seen.radius_sigma_px)
-        believed, swims = of.believed, self._swims[of.name]
+        believed, swims = belief(), self._swims[target]
         play_deg = 0.0 if gimbal.rests else TURNING_DEG
         # Of a pan that goes with the target it is in the yaw already, which the same camera has from landmarks.
         sigma_deg = math.hypot(0.0 if gimbal.tracks else play_deg, gimbal.lag_sigma_deg)
@@ -219,7 +219,7 @@ class Pursuit(Revertible):
             self._calibration.camera,
             eye,
             outline,
-            self._fleet.target[of.name],
+            self._fleet.target[target],
             known[1]._replace(kappa=min(known[1].kappa, REMEMBERS)),
             math.radians(math.hypot(self._calibration.camera.noise_deg, sigma_deg)),
             None if believed is None else carried_on(believed, swims, seen.t_ns),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any, ClassVar
 
 from msgspec import UnsetType
@@ -25,11 +25,10 @@ from agent.core.capability import (
     Proposal,
     Sample,
     Situation,
-    TargetView,
 )
 from agent.core.codec import decode
 from agent.core.config import Follow, Goto, Hold, Orbit, Pose, Search, Survey, Trial, Turn
-from agent.core.estimation.interface import Bearing, Prior
+from agent.core.estimation.interface import Bearing, Posterior, Prior
 from agent.core.messages import Presence
 from agent.core.ranging.fix import Fix
 from agent.core.step_io import Heard
@@ -94,8 +93,8 @@ class Swim(Capability, PoseSource):
             sighted=self.pursuit.sighted,
         )
 
-    def bearing(self, target: TargetView, now_ns: int) -> Bearing | None:
-        return self.pursuit.bearing(target, now_ns)
+    def bearing(self, target: str, believed: Callable[[], Posterior | None], now_ns: int) -> Bearing | None:
+        return self.pursuit.bearing(target, believed, now_ns)
 
     # --- what it wants ----------------------------------------------------------------------------------------
 

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
-from msgspec import UNSET
+from msgspec import UNSET, UnsetType
 from numpy.typing import NDArray
 
 from agent.capabilities.swim.pose_filter import Wrench
@@ -338,7 +338,7 @@ def _clarity(from_peak: float) -> float:
 # --- swimmers ---
 
 FRAME_STEPS, LATE_STEPS = 2, 2
-NAMES: dict[type[Message], Any] = {row.message: row.name for row in (NEAR, CLAIM, KEYFRAME, LIGHT)}
+TOLD = (NEAR, CLAIM, KEYFRAME, LIGHT)  # what neighbours are told beside estimates
 
 
 class Frame(NamedTuple):
@@ -444,12 +444,16 @@ class Swimmers:
 
     def _deliver(self, src: str, outputs: Outputs) -> None:
         """Each message of an agent, of any kind, arrives with the next step, as from its own key."""
-        told = (outputs.near, outputs.claims, outputs.keyframes, outputs.light)
-        for letter in (*outputs.says, *(each for said in told for each in said or ())):
-            if not self.lost(letter):
-                topic, payload = NAMES.get(type(letter), UNSET), encode(self.forged(letter))
-                heard = Heard(arrived_ns=self.now_ns, src=src, payload=payload, topic=topic)
-                self._post[letter.dst].append(heard)
+        for estimate in outputs.says:
+            self._post_to(estimate.dst, src, estimate)
+        for row in TOLD:
+            for letter in outputs.said(row):
+                self._post_to(letter.dst, src, letter, row.name)
+
+    def _post_to(self, dst: str, src: str, letter: Message, topic: str | UnsetType = UNSET) -> None:
+        if not self.lost(letter):
+            payload = encode(self.forged(letter))
+            self._post[dst].append(Heard(arrived_ns=self.now_ns, src=src, payload=payload, topic=topic))
 
     def swims(self, name: str) -> bool:
         """Whether it is armed, and does what it is told."""

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 
 from agent.capabilities.survey.coverage_map import FARTHEST_M, NEAREST_M, STEEPEST, CoverageMap, grid_of
 from agent.capabilities.survey.survey import NOISIER, Surveyor, block_px, surveyor_of
-from agent.core.capability_messages import Claim, Keyframe
 from agent.core.codec import encode
 from agent.core.config import Coverage, Fleet, Pose, Robot, Survey, Tank, Target
 from agent.core.ranging.camera_model import Calibration, CameraFit, camera_pose, gimbal_deg
@@ -244,12 +243,10 @@ class World:
     def _carry(self, name: str, outputs: Outputs) -> None:
         if not self.shares:
             return
-        words: tuple[Claim | Keyframe, ...] = (*(outputs.claims or ()), *(outputs.keyframes or ()))
-        for word in words:
+        for said in outputs.outgoing or ():
             if self.rng.random() >= self.loss:
-                topic: Literal["claim", "keyframe"] = "claim" if isinstance(word, Claim) else "keyframe"
-                heard = Heard(arrived_ns=self.now_ns, src=name, payload=encode(word), topic=topic)
-                self._post[word.dst].append(heard)
+                heard = Heard(arrived_ns=self.now_ns, src=name, payload=said.payload, topic=said.topic)
+                self._post[said.to].append(heard)
 
     def _telemetry(self, name: str) -> Telemetry:
         depth_m = self.fleet.robot[name].depth_m
