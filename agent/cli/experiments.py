@@ -13,9 +13,9 @@ from agent.experiments.experiment import (
     DEFAULT_SENSOR,
     WATERS,
     FollowingPolicy,
-    ImageKind,
     LightWater,
     LocalizationKind,
+    ModelKind,
     NavigationCase,
     PosesKind,
     ScenePart,
@@ -175,13 +175,7 @@ def experiment_reconstruction(
     seeds: Annotated[int, typer.Option(min=1, help="Tanks, from that seed on.")] = 5,
     water: Waters = None,
     poses: Annotated[PosesKind | None, typer.Option("--poses", help="Only these; else all.")] = None,
-    image: Annotated[
-        ImageKind, typer.Option(help="Image model; a field takes image-seconds for each case.")
-    ] = "surfels",
-    image_seconds: Annotated[float, typer.Option(min=1.0, help="How long a field learns.")] = 300.0,
-    fog: Annotated[
-        bool, typer.Option("--fog", help="The field starts from nothing, as if there were no focus.")
-    ] = False,
+    model: Annotated[ModelKind, typer.Option(help="Image model; a field takes five minutes a case.")] = "surfels",
     only: Annotated[
         ScenePart | None,
         typer.Option(
@@ -197,16 +191,12 @@ def experiment_reconstruction(
     from agent.experiments.experiment import perform
     from agent.experiments.reconstruction import reconstruction as run
     from agent.experiments.reconstruction import reconstruction as tables
-    from agent.reconstruction.held_back import FieldSettings
-    from agent.reconstruction.image_model import ImageSettings
-
-    field = FieldSettings(seconds=image_seconds, start="nothing" if fog else "surface")
 
     asked = run.Settings(
         seeds=tuple(range(seed, seed + seeds)),
         waters=kinds(water) if water else run.WATERS,
         poses=(poses,) if poses else run.POSES,
-        image=None if image == "none" else ImageSettings(kind=image, field=field),
+        model=model,
         only=only,
     )
     perform(run.run, asked, tables.table, out, terminal(), "sweeps and surfaces")

@@ -16,8 +16,7 @@ from scipy.spatial import cKDTree
 from agent.experiments.experiment import Row
 from agent.experiments.reconstruction.render import Rendered, truth_points
 from agent.process.command import shipped_fleet
-from agent.reconstruction.held_back import HeldBack, judged
-from agent.reconstruction.image_model import ImageModel
+from agent.reconstruction.held_back import HeldBack, ImageModel, judged
 from agent.reconstruction.pose_evidence import Motion, apart, between, by_motion
 from agent.reconstruction.views import Floats, View, see
 from agent.robot.fleet_reader import load_fleet
@@ -119,7 +118,7 @@ def _visible(view: View, depth: NDArray[np.float32], places: Floats) -> NDArray[
 def nearest_m(of_m: Floats, among_m: Floats, most_m: float) -> Floats:
     """From each point (n, 3) to the nearest of others (m, 3), metres; most_m where there is none within it."""
     distance, _ = cKDTree(among_m).query(of_m, distance_upper_bound=most_m)
-    return np.minimum(distance, most_m)
+    return np.asarray(np.minimum(distance, most_m))
 
 
 # --- image models on photographs held back, and poses before and after they were refined ---
@@ -175,11 +174,10 @@ def inverse(motion: Motion) -> Motion:
 
 
 def missed_pictures(cases: Sequence[Row]) -> list[str]:
-    """Targets of image models and of refined poses that are not reached; cases without a model are passed over."""
-    pictured = [one for one in cases if "image" in one]
-    exact = {(one["seed"], one["water"]): one for one in pictured if one["poses"] == "exact"}
+    """Targets of image models and of refined poses that are not reached."""
+    exact = {(one["seed"], one["water"]): one for one in cases if one["poses"] == "exact"}
     found = []
-    for one in pictured:
+    for one in cases:
         key = one["seed"], one["water"]
         name = f"seed {key[0]}, {key[1]}"
         if one["poses"] == "exact":
