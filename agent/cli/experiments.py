@@ -17,6 +17,7 @@ from agent.experiments.experiment import (
     FollowingPolicy,
     LightWater,
     LocalizationKind,
+    ModelKind,
     NavigationCase,
     PosesKind,
     ScenePart,
@@ -79,7 +80,12 @@ EXPERIMENTS = {
         "scenes from focus sweeps; what a survey learns and costs",
         "sweeps and surfaces",
         "seeds",
-        (Part("only", get_args(ScenePart), several=False), WATER, Part("poses", get_args(PosesKind))),
+        (
+            Part("only", get_args(ScenePart), several=False),
+            WATER,
+            Part("poses", get_args(PosesKind)),
+            Part("model", get_args(ModelKind), several=False),
+        ),
     ),
     "following": Experiment(
         "following",

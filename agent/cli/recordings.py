@@ -8,7 +8,6 @@ from itertools import count
 from pathlib import Path
 from typing import Annotated, Literal, get_args
 
-import msgspec
 import typer
 
 from agent.core.config import ConfigError
@@ -178,8 +177,6 @@ reconstruct_app = typer.Typer()
 
 KINDS = ("ply", "glb", "colmap", "transforms.json", "splat", "mcap")
 # typer takes a list of an Enum, not of a Literal
-Image = StrEnum("Image", [(kind, kind) for kind in ("auto", "field", "surfels", "none")])  # type: ignore[misc]
-Device = StrEnum("Device", [(name, name) for name in ("auto", "cpu", "cuda", "mps")])  # type: ignore[misc]
 Export = StrEnum("Export", [(kind, kind) for kind in KINDS])  # type: ignore[misc]
 
 
@@ -205,17 +202,14 @@ def reconstruct_command(
     refine: Annotated[
         bool, typer.Option("--refine/--no-refine", help="Move robots' poses to where their pictures fit best.")
     ] = True,
-    image: Annotated[
-        Image, typer.Option(help="Image model; auto: a field if torch is installed, else surfels, in a minute.")
-    ] = Image("auto"),
-    image_seconds: Annotated[float, typer.Option(min=1.0, help="How long a field learns.")] = 300.0,
-    device: Annotated[Device, typer.Option(help="Where a field learns; auto: a GPU if there is one.")] = Device("auto"),
+    model: Annotated[
+        Literal["surfels", "field"], typer.Option(help="Image model; a field needs torch, and takes five minutes.")
+    ] = "surfels",
     video: Annotated[bool, typer.Option("--video/--no-video", help="A film once round the scene.")] = True,
 ) -> None:
     """A scene in three dimensions from a fleet's focus sweeps: surface, files for other programs, a report."""
     from agent.process.command import with_bar
     from agent.reconstruction.export import Kind
-    from agent.reconstruction.image_model import ImageSettings
     from agent.reconstruction.run import Settings, run
     from replay.files.recover import auto_recovered
 
@@ -229,7 +223,6 @@ def reconstruct_command(
     there = auto_recovered(list(runs or ()), complain)
     folder = run_folder(out)
     exports = tuple(kind for kind in get_args(Kind) if kind in [str(one) for one in export or ("ply",)])
-    learning = {"kind": str(image), "field": {"device": str(device), "seconds": image_seconds}}
     asked = Settings(
         runs=tuple(there),
         transforms=transforms,
@@ -237,7 +230,7 @@ def reconstruct_command(
         cell_m=cell_mm * 1e-3,
         stereo=stereo,
         refine=refine,
-        image=None if image == "none" else msgspec.convert(learning, ImageSettings),
+        model=model,
         video=video,
     )
     console = terminal()
@@ -250,11 +243,11 @@ def reconstruct_command(
         f"{f['sigma_mm']['p50']:.1f} mm (median)",
         highlight=False,
     )
-    if learnt := f.get("image"):
-        worth = learnt["psnr_held_back_db"]
-        on = f"{worth:.1f} dB on {f['held_back']} photographs held back" if worth is not None else "none held back"
-        thick = f"; its surface is {learnt['beta_mm']:.1f} mm thick" if learnt["beta_mm"] is not None else ""
-        console.print(f"image model: {learnt['kind']}, {on}{thick}", highlight=False)
+    learnt = f["image"]
+    worth = learnt["psnr_held_back_db"]
+    on = f"{worth:.1f} dB on {f['held_back']} photographs held back" if worth is not None else "none held back"
+    thick = f"; its surface is {learnt['beta_mm']:.1f} mm thick" if learnt["beta_mm"] is not None else ""
+    console.print(f"image model: {learnt['kind']}, {on}{thick}", highlight=False)
     console.print(
         f"look at {folder / 'report.html'}; beside it {', '.join(p.name for p in result.files[:-2])}", highlight=False
     )

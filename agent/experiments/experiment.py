@@ -177,6 +177,7 @@ LocalizationKind = Literal["accuracy", "liar"]
 NavigationCase = Literal["fix", "hold", "goto", "turn", "orbit", "separation", "target", "aid", "follow", "search"]
 PosesKind = Literal["exact", "noisy", "refined"]  # of cameras that a scene is reconstructed from
 ScenePart = Literal["scenes", "coverage", "swimmers", "size"]  # of the experiment reconstruction
+ModelKind = Literal["surfels", "field"]  # what a scene's pictures are rendered by
 FollowingPolicy = Literal["share", "silent", "moored"]
 LightWater = Literal["coastal", "bay", "harbour"]  # dark waters of which absorption and scattering are told apart
 DEFAULT_SENSOR: Sensor = "imx519_640"

@@ -6,7 +6,6 @@ and then shows the scene from any pose: picture and depths. `learnt` does all of
 
 from __future__ import annotations
 
-import itertools
 import math
 from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
@@ -17,11 +16,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from agent.core.config import ConfigError
 from agent.process.command import Progress
-from agent.reconstruction.bricks import SIDE, Surface
+from agent.reconstruction.bricks import SIDE
 from agent.reconstruction.fusion import fuse
-from agent.reconstruction.held_back import FieldSettings
+from agent.reconstruction.held_back import ImageModel, Pictures
 from agent.reconstruction.views import View, pixel_grid, ray_slopes, stacked
 
 # --- all pixels of all views as tensors on one device, so that a step takes any of them ---
@@ -127,6 +125,7 @@ def through_water(colour: Tensor, range_m: Tensor, direct: Tensor, scatter: Tens
 # a small network. All of it lives on one device, whichever it is.
 
 RANK = 16
+PLANE_M, LINE_M = 3e-3, 6e-3  # cells of the planes, and of their lines
 HIDDEN = 32
 START_BETA_M, LEAST_BETA_M, MOST_BETA_M = 4e-3, 1.2e-3, 10e-3
 PLANE_NOISE, LINE_NOISE = 0.1, 0.2  # of the start; lines begin about 1, so that a plane first reaches all along them
@@ -257,27 +256,6 @@ def look(field: Field, rays: Rays, near_m: Tensor, far_m: Tensor, offsets: Tenso
     return _mean(field, rays, t, step[:, None])
 
 
-def search(field: Field, rays: Rays, offsets: Tensor, fine: int) -> Seen:
-    """What rays see of a field whose surface is not known yet.
-
-    Samples in equal pieces of the whole way, one at each of `offsets` (n, s), tell where to take `fine` more, and these
-    count.
-    """
-    far_m = leaving(field, rays)
-    step = ((far_m - NEAREST_M) / offsets.shape[1])[:, None]
-    with torch.no_grad():
-        coarse = NEAREST_M + (torch.arange(offsets.shape[1], device=offsets.device) + offsets) * step
-        weights = ray_weights(density(_distance(field, rays, coarse), field.beta_m), step) + 1e-4
-        share = torch.cumsum(weights, dim=1) / weights.sum(dim=1, keepdim=True)
-        wanted = (torch.arange(fine, device=offsets.device) + offsets[:, :fine]) / fine
-        piece = torch.searchsorted(share, wanted.contiguous()).clamp_max(offsets.shape[1] - 1)
-        before = torch.cat([torch.zeros_like(share[:, :1]), share[:, :-1]], dim=1).gather(1, piece)
-        within = ((wanted - before) / (share.gather(1, piece) - before).clamp_min(1e-9)).clamp(0.0, 1.0)
-        t = NEAREST_M + (piece + within) * step
-        gaps = torch.diff(t, dim=1, append=far_m[:, None]).clamp_max(float(step.max()))
-    return _mean(field, rays, t, gaps)
-
-
 def _distance(field: Field, rays: Rays, t: Tensor) -> Tensor:
     return field.distance(_places(rays, t).reshape(-1, 3)).reshape(t.shape)
 
@@ -312,21 +290,23 @@ def depth(rays: Rays, range_m: Tensor) -> Tensor:
 
 GAMMA, DARKEST = 1.0 / 2.2, 1e-5
 TONE_HUBER = 0.1
+ANCHOR = 0.01  # weight of the depths that focus and stereo found
 RATES = {"planes": 2e-2, "net": 2e-3, "water": 5e-3, "sdf": 1.5e-4, "beta": 2e-3}
 LAST_RATE = 0.05  # of the rates at the end
 WARM_UP = 20  # steps
 TRAIN_SAMPLES = 8
 BAND_M, WIDE_M = 10e-3, 25e-3  # half of what is sampled about a surface: at the end, and more at the start
-SEARCH = (64, 24)  # samples of a ray of which nothing is known: to find where, and to see
 ROUNDS, AGAIN_ROUNDS = 40, 10  # of tracing a pixel for the first time, and when it is known where it was
 BACK_M = 0.03  # how far before that tracing goes on
 
 
-class Step(NamedTuple):
-    """One step of learning."""
+class FieldSettings(NamedTuple):
+    """Time is what a field is bought with: it has learnt most of it in a minute, and goes on for ten."""
 
-    loss: float
-    progress: float  # 0 to 1
+    seconds: float = 300.0  # of the clock on the wall, for learning alone
+    steps: int | None = None  # so many instead, however long they take: the same on each run
+    rays: int = 4096  # a step
+    seed: int = 0
 
 
 def tone(light: Tensor) -> Tensor:
@@ -338,15 +318,18 @@ def loss(seen: Seen, rays: Rays, true: Pixels, anchor: float) -> Tensor:
     """Of one step's rays: tones, and depths in their own standard deviations."""
     tones = functional.huber_loss(tone(seen.colour), tone(true.colour), delta=TONE_HUBER)
     known = ~torch.isnan(true.depth_m)
-    if anchor == 0.0 or not bool(known.any()):
+    if not bool(known.any()):
         return tones
     off = (depth(rays, seen.range_m)[known] - true.depth_m[known]) / true.sigma_m[known]
     share = known.sum() / len(known)
     return tones + anchor * TONE_HUBER**2 * share * functional.huber_loss(off, torch.zeros_like(off), delta=1.0)
 
 
-def learn(field: Field, views: Sequence[View], settings: FieldSettings, now_s: Callable[[], float]) -> Iterator[Step]:
-    """Change `field`, which lies on its device, one step an item. `now_s` is not asked where there are `steps`."""
+def learn(field: Field, views: Sequence[View], settings: FieldSettings, now_s: Callable[[], float]) -> Iterator[float]:
+    """Change `field`, which lies on its device, one step an item: the progress, 0 to 1.
+
+    `now_s` is not asked where there are `steps`.
+    """
     device = field.sdf_m.device
     bundle, pick = Bundle(views, device), torch.Generator().manual_seed(settings.seed)
     optimiser = _optimiser(field)
@@ -363,27 +346,22 @@ def learn(field: Field, views: Sequence[View], settings: FieldSettings, now_s: C
         chosen = order[at : at + settings.rays].to(device)
         at += settings.rays
         rays, true = bundle.rays(chosen), bundle.pixels(chosen)
-        if settings.start == "nothing":
-            offsets = torch.rand((len(chosen), SEARCH[0]), generator=pick).to(device)
-            seen = search(field, rays, offsets, SEARCH[1])
-            value = loss(seen, rays, true, 0.0)
-        else:
-            before = met_m[chosen]
-            fresh = bool(torch.isnan(before).any())
-            start = torch.nan_to_num(before - BACK_M, nan=NEAREST_M).clamp_min(NEAREST_M)
-            met = trace(field, rays, start, ROUNDS if fresh else AGAIN_ROUNDS)
-            met_m[chosen] = met
-            half = BAND_M + WIDE_M * (1.0 - progress)
-            offsets = torch.rand((len(chosen), TRAIN_SAMPLES), generator=pick).to(device)
-            seen = look(field, rays, (met - half).clamp_min(NEAREST_M), met + half, offsets)
-            value = loss(seen, rays, true, settings.anchor)
+        before = met_m[chosen]
+        fresh = bool(torch.isnan(before).any())
+        start = torch.nan_to_num(before - BACK_M, nan=NEAREST_M).clamp_min(NEAREST_M)
+        met = trace(field, rays, start, ROUNDS if fresh else AGAIN_ROUNDS)
+        met_m[chosen] = met
+        half = BAND_M + WIDE_M * (1.0 - progress)
+        offsets = torch.rand((len(chosen), TRAIN_SAMPLES), generator=pick).to(device)
+        seen = look(field, rays, (met - half).clamp_min(NEAREST_M), met + half, offsets)
+        value = loss(seen, rays, true, ANCHOR)
         for group, rate in zip(optimiser.param_groups, base, strict=True):
             group["lr"] = rate * min(1.0, (step + 1) / WARM_UP) * LAST_RATE**progress
         optimiser.zero_grad()
         value.backward()  # type: ignore[no-untyped-call]
         optimiser.step()
         step += 1
-        yield Step(value.item(), progress)
+        yield progress
 
 
 def _optimiser(field: Field) -> torch.optim.Adam:
@@ -403,68 +381,47 @@ def _optimiser(field: Field) -> torch.optim.Adam:
 AT_ONCE = 1 << 15  # rays
 SAMPLES = 16
 
-Pictures = NDArray[np.float32]
-
 
 @torch.no_grad()
-def picture(field: Field, view: View, searching: bool = False) -> tuple[Pictures, Pictures]:
-    """Linear light (height, width, 3) and depth (height, width) from a view's pose by its camera; the rest is unused.
-
-    searching: the field began with nothing, and has no distances that could be followed.
-    """
+def picture(field: Field, view: View) -> tuple[Pictures, Pictures]:
+    """Linear light (height, width, 3) and depth (height, width) from a view's pose by its camera."""
     device = field.sdf_m.device
     bundle = Bundle([view], device)
     colours, depths = [], []
     for first in range(0, bundle.count, AT_ONCE):
         chosen = torch.arange(first, min(first + AT_ONCE, bundle.count), device=device)
         rays = bundle.rays(chosen)
-        middles = torch.full((len(chosen), SEARCH[0] if searching else SAMPLES), 0.5, device=device)
-        if searching:
-            seen = search(field, rays, middles, SEARCH[1])
-        else:
-            met = trace(field, rays, torch.full_like(rays.forward, NEAREST_M), 2 * ROUNDS)
-            seen = look(field, rays, (met - BAND_M).clamp_min(NEAREST_M), met + BAND_M, middles)
+        middles = torch.full((len(chosen), SAMPLES), 0.5, device=device)
+        met = trace(field, rays, torch.full_like(rays.forward, NEAREST_M), 2 * ROUNDS)
+        seen = look(field, rays, (met - BAND_M).clamp_min(NEAREST_M), met + BAND_M, middles)
         colours.append(seen.colour)
         depths.append(depth(rays, seen.range_m))
     shape = (view.camera.height, view.camera.width)
     return torch.cat(colours).cpu().numpy().reshape(*shape, 3), torch.cat(depths).cpu().numpy().reshape(shape)
 
 
-# --- the grid that a field starts from: the surface of all depths, or nothing at all ---
+# --- the grid that a field starts from: the surface of all depths ---
 
 CELL_M = 7.5e-3  # of the grid; larger where it would have more than MOST_CELLS
 MOST_CELLS = 40_000_000  # 160 MB, and three times as much for Adam
 TRUNCATED_M = 30e-3  # distances beyond it say no more than that nothing is near
-FOG_M = 19e-3  # with a beta of 4 mm a density of 1/m: half a tank is seen through it
 LEAST_WEIGHT = 0.3  # one depth with a sigma of 18 mm
 
 
-def box_of_views(views: Sequence[View], progress: Progress = lambda done, total: None) -> Box:
-    """Distances to the surface that the views' depths show. Raises Failed where they show none."""
-    stack, cell_m = stacked(views, 0), CELL_M
-    surface = fuse(stack, cell_m, progress)
+def box_of_views(views: Sequence[View]) -> Box:
+    """Distances to the surface that the views' depths show; what is unknown counts as far from everything.
+
+    Raises Failed where they show none.
+    """
+    stack = stacked(views, 0)
+    surface = fuse(stack, CELL_M)
     cells = surface.table.size * SIDE**3
     if cells > MOST_CELLS:
-        surface = fuse(stack, cell_m * (cells / MOST_CELLS) ** (1.0 / 3.0), progress)
-    return box_of(surface)
-
-
-def fog(box: Box) -> Box:
-    """The same grid, but nothing known: as thin everywhere as clear water, so that light comes from anywhere."""
-    return box._replace(sdf_m=np.full_like(box.sdf_m, FOG_M))
-
-
-def box_of(surface: Surface) -> Box:
-    """All cells of a surface's bricks and between them; what is unknown counts as far from everything."""
-    shape = tuple(SIDE * count for count in surface.table.shape)
-    sdf = np.full(shape, TRUNCATED_M, np.float32)
-    for i, j, k in itertools.product(*(range(count) for count in surface.table.shape)):
-        brick = surface.table[i, j, k]
-        if brick >= 0:
-            known = surface.weight[brick] > LEAST_WEIGHT
-            near = np.clip(surface.distance_m[brick], -TRUNCATED_M, TRUNCATED_M)
-            place = np.s_[SIDE * i : SIDE * (i + 1), SIDE * j : SIDE * (j + 1), SIDE * k : SIDE * (k + 1)]
-            sdf[place] = np.where(known, near, TRUNCATED_M)
+        surface = fuse(stack, CELL_M * (cells / MOST_CELLS) ** (1.0 / 3.0))
+    near = np.clip(surface.distance_m, -TRUNCATED_M, TRUNCATED_M)
+    bricks = np.full((len(near) + 1, SIDE, SIDE, SIDE), TRUNCATED_M, np.float32)  # the last is that of no brick, -1
+    bricks[:-1] = np.where(surface.weight > LEAST_WEIGHT, near, TRUNCATED_M)
+    sdf = bricks[surface.table].transpose(0, 3, 1, 4, 2, 5).reshape(SIDE * np.array(surface.table.shape))
     x, y, z = surface.origin_m.tolist()
     return Box((x, y, z), surface.cell_m, sdf)
 
@@ -474,43 +431,20 @@ def box_of(surface: Surface) -> Box:
 PARTS = 1000  # of the progress: time is no whole number
 
 
-class Learnt(NamedTuple):
-    """As the fields of `image_model.ImageModel` of the same names."""
+def learnt(
+    views: Sequence[View], settings: FieldSettings, progress: Progress, now_s: Callable[[], float]
+) -> ImageModel:
+    """A field that has learnt from all views, on a GPU if there is one. now_s: any clock that counts seconds.
 
-    look: Callable[[View], tuple[Pictures, Pictures]]
-    water: Pictures  # (3, 3)
-    steps: int
-    device: str
-    beta_mm: float
-    beta_clamped: bool
-
-
-def learnt(views: Sequence[View], settings: FieldSettings, progress: Progress, now_s: Callable[[], float]) -> Learnt:
-    """A field that has learnt from all views. now_s: any clock that counts seconds.
-
-    Raises ConfigError for a device that is not there, Failed where no view has a depth.
+    Raises Failed where no view has a depth.
     """
-    device = device_of(settings.device)
-    box, searching = box_of_views(views), settings.start == "nothing"
-    field = Field(fog(box) if searching else box, settings.plane_mm * 1e-3, settings.line_mm * 1e-3, settings.seed).to(
-        device
-    )
+    device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    field = Field(box_of_views(views), PLANE_M, LINE_M, settings.seed).to(device)
     steps = 0
-    for step in learn(field, views, settings, now_s):
+    for part in learn(field, views, settings, now_s):
         steps += 1
-        progress(int(PARTS * step.progress), PARTS)
+        progress(int(PARTS * part), PARTS)
     progress(PARTS, PARTS)
     beta_m = float(field.beta_m.detach())
-    water = functional.softplus(field.water.detach()).cpu().numpy()
     clamped = math.isclose(beta_m, MOST_BETA_M, rel_tol=1e-3)
-    return Learnt(lambda view: picture(field, view, searching), water, steps, str(device), 1e3 * beta_m, clamped)
-
-
-def device_of(name: str) -> torch.device:
-    """auto: a GPU if there is one. Raises ConfigError for one that is not there."""
-    there = {"cpu": True, "cuda": torch.cuda.is_available(), "mps": torch.backends.mps.is_available()}
-    if name == "auto":
-        return torch.device("cuda" if there["cuda"] else "cpu")
-    if not there.get(name, False):
-        raise ConfigError(f"device '{name}': torch does not find it on this machine; choose cpu, or auto")
-    return torch.device(name)
+    return ImageModel("field", lambda view: picture(field, view), steps, 1e3 * beta_m, clamped)

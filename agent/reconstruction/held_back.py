@@ -1,4 +1,5 @@
-"""An image model held against photographs that it has not seen: peak signal to noise, where the camera really was.
+"""What an image model is, and how it is held against photographs that it has not seen: peak signal to noise, where the
+camera really was.
 
 A pose that is a millimetre off costs more than all that a model gets wrong, and says nothing about it: so each
 photograph first finds its place in the model's pictures (`pose_evidence.place`), as if it were a robot's.
@@ -8,12 +9,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Annotated, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import cv2
-import msgspec
 import numpy as np
-from msgspec import Meta
 from numpy.typing import NDArray
 
 from agent.reconstruction.pose_evidence import place
@@ -21,6 +20,18 @@ from agent.reconstruction.views import View, shrunk
 
 Pictures = NDArray[np.float32]
 Look = Callable[[View], tuple[Pictures, Pictures]]
+ModelKind = Literal["surfels", "field"]
+
+
+class ImageModel(NamedTuple):
+    """What a scene looks like from anywhere, learnt from all pictures together."""
+
+    kind: ModelKind
+    look: Look  # linear light (h, w, 3); depth (h, w) [m], NaN where a hole is
+    steps: int  # of learning; of surfels: pictures gone through, all epochs together
+    beta_mm: float | None = None  # of a field: how thick its surface is
+    beta_clamped: bool = False  # at its largest: the field hides geometry in its thickness
+
 
 GAMMA = 1.0 / 2.2  # PSNR is of tones, as an eye and a file have them
 ROUNDS, SMALLER = 4, 2  # of placing, in pictures so many times smaller
@@ -81,23 +92,3 @@ def held_back(views: Sequence[View]) -> tuple[list[View], list[View]]:
         return list(views), []
     spared = range(EVERY // 2, len(views), EVERY)
     return [view for n, view in enumerate(views) if n not in spared], [views[n] for n in spared]
-
-
-# --- settings of the field; here, because this needs no torch ---
-
-Start = Literal["surface", "nothing"]
-Device = Literal["auto", "cpu", "cuda", "mps"]
-
-
-class FieldSettings(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
-    """Time is what a field is bought with: it has learnt most of it in a minute, and goes on for ten."""
-
-    device: Device = "auto"
-    seconds: Annotated[float, Meta(gt=0)] = 300.0  # of the clock on the wall, for learning alone
-    steps: Annotated[int, Meta(ge=1)] | None = None  # so many instead, however long they take: the same on each run
-    rays: Annotated[int, Meta(ge=1)] = 4096  # a step
-    seed: int = 0
-    plane_mm: Annotated[float, Meta(gt=0)] = 3.0  # cells of the colours' planes
-    line_mm: Annotated[float, Meta(gt=0)] = 6.0  # and of their lines
-    start: Start = "surface"  # nothing: a thin fog everywhere, no depths; what a field is worth without focus
-    anchor: Annotated[float, Meta(ge=0)] = 0.01  # weight of the depths that focus and stereo found

@@ -150,7 +150,7 @@ def write_report(
 ) -> list[Path]:
     """report.html and turntable.mp4 into the folder; adds what the photographs say to `figures`.
 
-    placed: what an image model makes of `held`, in the same order; empty where there is none.
+    placed: what the image model makes of `held`, in the same order.
     """
     render = render_of(built.mesh)
     # Without photographs to spare, those that it was made of are shown, and not counted.
@@ -208,7 +208,7 @@ def _photographs(compared: Sequence[Beside], held: bool) -> Section:
 
 
 def _model(placed: Sequence[HeldBack], figures: dict[str, Any]) -> list[Section]:
-    """No section where there is no image model, or no photograph to hold it against."""
+    """No section where there is no photograph to hold it against."""
     if not placed:
         return []
     rows, shown = [["view", "PSNR dB", "before it was placed"]], []

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib.util
 import json
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,11 +13,12 @@ import msgspec
 import numpy as np
 
 from agent.clock import machine
+from agent.core.config import ConfigError
 from agent.process.command import Failed, Progress, Show
+from agent.reconstruction import surfels
 from agent.reconstruction.export import Kind, export
 from agent.reconstruction.fusion import CELL_M, Built, build
-from agent.reconstruction.held_back import HeldBack, held_back, judged
-from agent.reconstruction.image_model import ImageModel, ImageSettings, image
+from agent.reconstruction.held_back import HeldBack, ImageModel, ModelKind, held_back, judged
 from agent.reconstruction.mesh import Mesh
 from agent.reconstruction.plane_sweep import Range, neighbours, plane_sweep
 from agent.reconstruction.refine_poses import refine
@@ -40,7 +42,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     stereo: bool = True
     video: bool = True
     refine: bool = True  # poses, by pictures and depths; pictures that others took keep theirs
-    image: ImageSettings | None = ImageSettings()  # None: the surface alone
+    model: ModelKind = "surfels"
 
 
 class Result(NamedTuple):
@@ -49,7 +51,7 @@ class Result(NamedTuple):
     files: list[Path]
     passed_over: dict[str, int]  # sweeps that gave no view, by reason
     figures: dict[str, Any]  # of result.json
-    model: ImageModel | None
+    model: ImageModel
 
 
 def run(settings: Settings, out: Path, show: Show) -> Result:
@@ -63,10 +65,15 @@ def run(settings: Settings, out: Path, show: Show) -> Result:
         built, held, passed_over = _from_recordings(settings, show)
     files = [export(kind, built.views, built.mesh, settings.cell_m, out) for kind in settings.exports]
     figures = figures_of(built, held)
-    model = _model(built, settings, show)
-    placed = judged(model.look, held) if model else []
-    if model:
-        figures["image"] = image_figures(model, placed)
+    model = image_model(
+        settings.model,
+        built.views,
+        built.mesh,
+        settings.cell_m,
+        lambda done, total: show(done, total, "learning the picture"),
+    )
+    placed = judged(model.look, held)
+    figures["image"] = image_figures(model, placed)
     files += write_report(built, held, placed, figures, out, settings.video, show)
     path = out / RESULT
     path.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
@@ -102,21 +109,25 @@ def _built(views: Sequence[View], settings: Settings, stereo: bool, show: Show) 
     return built
 
 
-def _model(built: Built, settings: Settings, show: Show) -> ImageModel | None:
-    if settings.image is None:
-        return None
+def image_model(kind: ModelKind, views: Sequence[View], mesh: Mesh, cell_m: float, progress: Progress) -> ImageModel:
+    """What the scene looks like, learnt from all views, whose poses are taken as they are.
 
-    def learning(done: int, total: int) -> None:
-        show(done, total, "learning the picture")
+    mesh: the surface, from cells of cell_m; a field starts from one of its own, of the views' depths. Raises
+    ConfigError for a field without torch.
+    """
+    if kind == "surfels":
+        return surfels.learnt(views, mesh, cell_m, progress)
+    if importlib.util.find_spec("torch") is None:
+        raise ConfigError("a field needs torch: pip install 'aucamp[reconstruct]', or leave out --model")
+    from agent.reconstruction import field  # torch takes seconds to import, and may be absent
 
-    return image(built.views, built.mesh, settings.cell_m, settings.image, learning, machine.monotonic_s)
+    return field.learnt(views, field.FieldSettings(), progress, machine.monotonic_s)
 
 
 def image_figures(model: ImageModel, placed: Sequence[HeldBack]) -> dict[str, Any]:
     """What the image model is, and what it is worth on photographs that nothing was made of."""
     return {
         "kind": model.kind,
-        "device": model.device,
         "steps": model.steps,
         "psnr_held_back_db": round(float(np.mean([one.psnr_db for one in placed])), 2) if placed else None,
         "beta_mm": None if model.beta_mm is None else round(model.beta_mm, 2),

@@ -8,7 +8,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from agent.reconstruction.held_back import FieldSettings
 from tests.reconstruction.a_plane import NORMAL, OFFSET_M, a_view, some_views
 
 torch = pytest.importorskip("torch", reason="the extra `enhance` is not installed")
@@ -18,6 +17,7 @@ from agent.reconstruction.field import (  # noqa: E402
     Box,
     Bundle,
     Field,
+    FieldSettings,
     density,
     learn,
     look,
@@ -115,7 +115,7 @@ def test_gradients_are_those_of_central_differences() -> None:
 
 def _learnt(steps: int, rays: int, seed: int = 0) -> Field:
     field = Field(plane_box(), 0.004, 0.05, seed=seed)
-    settings = FieldSettings(device="cpu", steps=steps, rays=rays, seed=seed)
+    settings = FieldSettings(steps=steps, rays=rays, seed=seed)
     for _ in learn(field, some_views(), settings, lambda: 0.0):
         pass
     return field

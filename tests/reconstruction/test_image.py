@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import msgspec
 import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
 from agent.experiments.reconstruction.render import SHARED, noisy
-from agent.reconstruction import image_model as seam
 from agent.reconstruction.fusion import fuse
-from agent.reconstruction.held_back import judged, psnr_db, smaller
-from agent.reconstruction.image_model import ImageModel, ImageSettings, filled, image
+from agent.reconstruction.held_back import ImageModel, judged, psnr_db, smaller
 from agent.reconstruction.mesh import mesh_of
 from agent.reconstruction.pose_evidence import apart
+from agent.reconstruction.run import image_model
+from agent.reconstruction.surfels import filled
 from agent.reconstruction.views import moved, stacked, surface_points
 from tests.reconstruction.a_plane import a_view, some_views
 
@@ -22,7 +21,7 @@ from tests.reconstruction.a_plane import a_view, some_views
 def model() -> ImageModel:
     views = some_views()
     mesh = mesh_of(fuse(stacked(views), 6e-3))
-    return image(views, mesh, 6e-3, ImageSettings(kind="surfels"), lambda done, total: None, lambda: 0.0)
+    return image_model("surfels", views, mesh, 6e-3, lambda done, total: None)
 
 
 def test_a_photograph_is_placed_before_it_is_compared(model: ImageModel) -> None:
@@ -33,24 +32,12 @@ def test_a_photograph_is_placed_before_it_is_compared(model: ImageModel) -> None
     assert apart([found.view], [true])[1][0] < 1e-3
 
 
-def test_without_torch_there_are_surfels(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(seam, "has_torch", lambda: False)
+def test_a_field_without_torch_is_refused_in_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("importlib.util.find_spec", lambda name: None)
     views = some_views()[:2]
     mesh = mesh_of(fuse(stacked(views), 10e-3))
-    found = image(views, mesh, 10e-3, ImageSettings(), lambda done, total: None, lambda: 0.0)
-    assert found.kind == "surfels" and found.beta_mm is None and found.water.shape == (3, 3)
     with pytest.raises(ConfigError, match=r"aucamp\[reconstruct\]"):
-        image(views, mesh, 10e-3, ImageSettings(kind="field"), lambda done, total: None, lambda: 0.0)
-
-
-def test_a_device_that_is_not_there_is_said_in_one_line() -> None:
-    torch = pytest.importorskip("torch", reason="the extra `reconstruct` is not installed")
-    from agent.reconstruction.field import device_of
-
-    assert device_of("cpu") == torch.device("cpu")
-    if not torch.cuda.is_available():
-        with pytest.raises(ConfigError, match="cuda"):
-            device_of("cuda")
+        image_model("field", views, mesh, 10e-3, lambda done, total: None)
 
 
 def test_holes_are_filled_from_around_them() -> None:
@@ -81,10 +68,3 @@ def test_noise_is_a_robots_and_comes_again() -> None:
     metres, radians = apart(a, true)
     assert 0.0 < metres.max() < 8 * SHARED[0] and 0.0 < radians.max() < 8 * SHARED[1]
     assert a[0].pose_covariance[0, 0] == pytest.approx(SHARED[1] ** 2, rel=0.1)
-
-
-def test_settings_are_read_and_checked() -> None:
-    found = msgspec.convert({"field": {"device": "cpu", "seconds": 60}}, ImageSettings)
-    assert found.field.seconds == 60 and found.kind == "auto"
-    with pytest.raises(msgspec.ValidationError):
-        msgspec.convert({"field": {"seconds": 0}}, ImageSettings)

@@ -47,7 +47,7 @@ def test_what_was_written_is_read(folder: Path) -> None:
 def test_a_floor_from_pictures_alone(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
-    result = run(Settings(transforms=folder / "transforms.json", video=False, cell_m=0.01, image=None), out, quiet)
+    result = run(Settings(transforms=folder / "transforms.json", video=False, cell_m=0.01), out, quiet)
     heights = result.built.mesh.vertices_m[:, 2] / UNIT
     assert result.figures["triangles"] > 500
     assert np.median(np.abs(heights)) < 2e-3

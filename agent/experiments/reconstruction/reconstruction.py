@@ -15,7 +15,7 @@ import numpy as np
 from rich.console import Group
 from rich.table import Table
 
-from agent.clock.machine import monotonic_s, processor_s
+from agent.clock.machine import processor_s
 from agent.core.config import WaterKind
 from agent.experiments.experiment import ExperimentResult, PosesKind, Row, ScenePart, Sensor
 from agent.experiments.reconstruction.coverage import RUNS, coverage, missed_coverage, swum
@@ -32,11 +32,11 @@ from agent.experiments.reconstruction.score import (
 from agent.experiments.reconstruction.size import missed_size, size, size_parts, verdict
 from agent.process.command import Failed, Progress, step_by_step
 from agent.reconstruction.fusion import CELL_M, fuse, merged, swept_twice
-from agent.reconstruction.image_model import ImageSettings, image
+from agent.reconstruction.held_back import ModelKind
 from agent.reconstruction.mesh import Mesh, coloured, mesh_of
 from agent.reconstruction.plane_sweep import neighbours, plane_sweep
 from agent.reconstruction.refine_poses import refine
-from agent.reconstruction.report import psnr_db, render_of
+from agent.reconstruction.run import image_model
 from agent.reconstruction.views import Floats, View, stacked
 
 SENSOR: Sensor = "crop_1280"
@@ -52,7 +52,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     seeds: int = 5
     waters: tuple[WaterKind, ...] = WATERS
     poses: tuple[PosesKind, ...] = POSES
-    image: ImageSettings | None = ImageSettings(kind="surfels")  # None: surfaces alone
+    model: ModelKind = "surfels"
     only: ScenePart | None = None
 
 
@@ -106,7 +106,7 @@ def run(settings: Settings, progress: Progress, world: MakeWorld = render) -> Re
             rendered = world(seed, water, SENSOR, step)
             truth = seen_twice(rendered)
             for poses in settings.poses:
-                cases.append(case(rendered, truth, poses, settings.image))
+                cases.append(case(rendered, truth, poses, settings.model))
                 step()
     told = coverage(surveyed, step) if surveyed else dict[str, Any](coverage={}, coverage_runs={}, coverage_equal={})
     swum_rows = []
@@ -118,9 +118,8 @@ def run(settings: Settings, progress: Progress, world: MakeWorld = render) -> Re
     return Result(cases=cases, swimmers=swum_rows, size=rows, size_verdict=verdict(rows), missed=absent, **told)
 
 
-def case(rendered: Rendered, truth_m: Floats, poses: PosesKind, picture: ImageSettings | None = None) -> Row:
-    """Surfaces from one tank's views, scored; pictures by the surface's own colours, where poses are exact, and by an
-    image model where one is asked for."""
+def case(rendered: Rendered, truth_m: Floats, poses: PosesKind, model: ModelKind) -> Row:
+    """Surfaces from one tank's views, and an image model on them, scored."""
     views = rendered.trained if poses == "exact" else noisy(rendered.trained, rendered.seed)
     start = processor_s()
     if poses == "refined":
@@ -128,7 +127,6 @@ def case(rendered: Rendered, truth_m: Floats, poses: PosesKind, picture: ImageSe
     refined_s = processor_s() - start
     made = surfaces(views)
     focus, sweep, both = (_scored(mesh, views, rendered, truth_m) for mesh in (made.focus, made.sweep, made.both))
-    exact = poses == "exact"  # else views that are held back would have to be aligned first
     return {
         "seed": rendered.seed,
         "water": rendered.water,
@@ -136,25 +134,21 @@ def case(rendered: Rendered, truth_m: Floats, poses: PosesKind, picture: ImageSe
         "median_mm": both.median_mm,
         "complete_10mm": both.complete_10mm,
         "f5": both.f5,
-        "psnr_in": mean_psnr(made.both, rendered.known) if exact else None,
-        "psnr_new": mean_psnr(made.both, rendered.new) if exact else None,
         "seconds": made.both_s,
-        "picture": "surface colours",
         "refine_seconds": refined_s if poses == "refined" else None,
         **pose_row(views, rendered),
-        **(_pictured(made, rendered, views, picture) if picture else {}),
+        **_pictured(made, rendered, views, model),
         "both": both._asdict(),
         "sweep": sweep._asdict(),
         "focus": {**focus._asdict(), "seconds": made.focus_s},
     }
 
 
-def _pictured(made: Surfaces, rendered: Rendered, views: list[View], settings: ImageSettings) -> Row:
-    """In place of the surface's own colours, which stay in the row by another name."""
+def _pictured(made: Surfaces, rendered: Rendered, views: list[View], kind: ModelKind) -> Row:
     start = processor_s()
-    model = image(made.views, made.both, CELL_M, settings, lambda done, total: None, monotonic_s)
+    model = image_model(kind, made.views, made.both, CELL_M, lambda done, total: None)
     seconds = processor_s() - start
-    return {**picture_row(model, rendered, views), "picture": model.kind, "image_seconds": seconds}
+    return {**picture_row(model, rendered, views), "image_seconds": seconds}
 
 
 def surfaces(views: list[View]) -> Surfaces:
@@ -189,14 +183,6 @@ def _unknown(view: View) -> View:
 
 def _scored(mesh: Mesh, views: list[View], rendered: Rendered, truth_m: Floats) -> Score:
     return score(into_truth(mesh.vertices_m, views, rendered), rendered, truth_m)
-
-
-def mean_psnr(mesh: Mesh, held: list[View]) -> float:
-    """dB over all pixels of views that nothing was made of; where there is no surface a rendering is black."""
-    render_one = render_of(mesh)
-    everywhere = [np.ones(view.depth_m.shape, bool) for view in held]
-    each = [psnr_db(view.picture, render_one(view).picture, k) for view, k in zip(held, everywhere, strict=True)]
-    return float(np.mean([value for value in each if value is not None]))
 
 
 def missed(cases: list[Row]) -> list[str]:
@@ -296,25 +282,22 @@ def size_table(result: Result) -> Table:
 
 
 def surfaces_table(cases: list[Row]) -> Table:
-    """A line for each tank, water and kind of poses: by focus alone, by the plane sweep alone, by both; PSNR of the
-    surface's own colours."""
+    """A line for each tank, water and kind of poses: by focus alone, by the plane sweep alone, by both."""
     shown = Table(title="surfaces from 45 focus sweeps against the twin's truth")
     left = ("seed", "water", "poses", "surface")
-    right = ("mean mm", "median mm", "objects mm", "within 10 mm", "F at 5 mm", "PSNR known, new dB", "CPU s")
+    right = ("mean mm", "median mm", "objects mm", "within 10 mm", "F at 5 mm", "CPU s")
     for column in (*left, *right):
         shown.add_column(column, justify="left" if column in left else "right")
     for case in cases:
         for surface in ("focus", "sweep", "both"):
             one = case[surface]
             seconds = {"focus": case["focus"]["seconds"], "sweep": None, "both": case["seconds"]}[surface]
-            told = surface == "both" and case["psnr_in"] is not None
             shown.add_row(
                 *(f"{case[key]}" for key in left[:3]),
                 surface,
                 *(f"{one[key]:.2f}" for key in ("mean_mm", "median_mm", "objects_mean_mm")),
                 f"{one['complete_10mm']:.1f} %",
                 f"{one['f5']:.1f}",
-                f"{case['psnr_in']:.1f}, {case['psnr_new']:.1f}" if told else "",
                 "" if seconds is None else f"{seconds:.1f}",
             )
     return shown
@@ -327,13 +310,12 @@ def pictures_table(cases: list[Row]) -> Table:
     for column in (*left, "places mm", "angles deg", "PSNR known dB", "PSNR new dB", "CPU s"):
         shown.add_column(column, justify="left" if column in left else "right")
     for case in cases:
-        if "image" in case:
-            shown.add_row(
-                *(f"{case[key]}" for key in (*left[:3], "image")),
-                f"{case['place_mm']:.1f}",
-                f"{case['turn_deg']:.2f}",
-                f"{case['psnr_in']:.1f}",
-                f"{case['psnr_new']:.1f}",
-                f"{case['image_seconds']:.0f}",
-            )
+        shown.add_row(
+            *(f"{case[key]}" for key in (*left[:3], "image")),
+            f"{case['place_mm']:.1f}",
+            f"{case['turn_deg']:.2f}",
+            f"{case['psnr_in']:.1f}",
+            f"{case['psnr_new']:.1f}",
+            f"{case['image_seconds']:.0f}",
+        )
     return shown

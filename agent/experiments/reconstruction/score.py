@@ -11,16 +11,15 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from agent.experiments.experiment import Row
 from agent.experiments.reconstruction.render import Rendered, truth_points
 from agent.process.command import shipped_fleet
-from agent.reconstruction.held_back import HeldBack, judged
-from agent.reconstruction.image_model import ImageModel
+from agent.reconstruction.held_back import HeldBack, ImageModel, judged
 from agent.reconstruction.pose_evidence import Motion, apart, between, by_motion
 from agent.reconstruction.views import Floats, View, see
 from agent.robot.fleet_reader import load_fleet
-from hw.compiled import compiled
 from hw.twin.optics.raycast import turned
 from hw.twin.scene import Solid
 
@@ -118,33 +117,8 @@ def _visible(view: View, depth: NDArray[np.float32], places: Floats) -> NDArray[
 
 def nearest_m(of_m: Floats, among_m: Floats, most_m: float) -> Floats:
     """From each point (n, 3) to the nearest of others (m, 3), metres; most_m where there is none within it."""
-    low = np.minimum(of_m.min(axis=0), among_m.min(axis=0)) - most_m
-    cells = np.floor((among_m - low) / most_m).astype(np.int64)
-    shape = np.maximum(cells.max(axis=0), np.floor((of_m - low) / most_m).astype(np.int64).max(axis=0)) + 2
-    number = (cells[:, 0] * shape[1] + cells[:, 1]) * shape[2] + cells[:, 2]
-    order = np.argsort(number, kind="stable")
-    starts = np.searchsorted(number[order], np.arange(int(np.prod(shape)) + 1))
-    found = np.empty(len(of_m))
-    _nearest(of_m, among_m[order], low, most_m, starts, shape, found)
-    return found
-
-
-@compiled(error_model="numpy")
-def _nearest(
-    of: Floats, among: Floats, low: Floats, most: float, starts: NDArray[np.int64], shape: NDArray[np.int64],
-    found: Floats,
-) -> None:  # fmt: skip
-    for n in range(len(of)):
-        best = most * most
-        i0, j0, k0 = (int((of[n, 0] - low[0]) / most), int((of[n, 1] - low[1]) / most), int((of[n, 2] - low[2]) / most))
-        for i in range(max(i0 - 1, 0), min(i0 + 2, shape[0])):
-            for j in range(max(j0 - 1, 0), min(j0 + 2, shape[1])):
-                for k in range(max(k0 - 1, 0), min(k0 + 2, shape[2])):
-                    cell = (i * shape[1] + j) * shape[2] + k
-                    for m in range(starts[cell], starts[cell + 1]):
-                        x, y, z = of[n, 0] - among[m, 0], of[n, 1] - among[m, 1], of[n, 2] - among[m, 2]
-                        best = min(best, x * x + y * y + z * z)
-        found[n] = best**0.5
+    distance, _ = cKDTree(among_m).query(of_m, distance_upper_bound=most_m)
+    return np.asarray(np.minimum(distance, most_m))
 
 
 # --- image models on photographs held back, and poses before and after they were refined ---
@@ -200,11 +174,10 @@ def inverse(motion: Motion) -> Motion:
 
 
 def missed_pictures(cases: Sequence[Row]) -> list[str]:
-    """Targets of image models and of refined poses that are not reached; cases without a model are passed over."""
-    pictured = [one for one in cases if "image" in one]
-    exact = {(one["seed"], one["water"]): one for one in pictured if one["poses"] == "exact"}
+    """Targets of image models and of refined poses that are not reached."""
+    exact = {(one["seed"], one["water"]): one for one in cases if one["poses"] == "exact"}
     found = []
-    for one in pictured:
+    for one in cases:
         key = one["seed"], one["water"]
         name = f"seed {key[0]}, {key[1]}"
         if one["poses"] == "exact":

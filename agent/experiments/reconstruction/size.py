@@ -17,7 +17,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.clock.machine import monotonic_s, processor_s
+from agent.clock.machine import processor_s
 from agent.core.config import Tank
 from agent.core.ranging.focus import lens_position, phase_sigma
 from agent.experiments.experiment import Row, Sensor
@@ -27,10 +27,10 @@ from agent.experiments.reconstruction.score import distances_to
 from agent.experiments.still_camera import WATER_INDEX
 from agent.perception.depth_peaks import GridPeaks, Reason
 from agent.perception.depth_sweep import DepthMap
+from agent.reconstruction import surfels
 from agent.reconstruction.export import export
 from agent.reconstruction.fusion import CELL_M, build
-from agent.reconstruction.held_back import psnr_db
-from agent.reconstruction.image_model import ImageModel, ImageSettings, image
+from agent.reconstruction.held_back import ImageModel, psnr_db
 from agent.reconstruction.plane_sweep import COMPARED, neighbours
 from agent.reconstruction.pose_evidence import apart, between, by_motion
 from agent.reconstruction.refine_poses import refine
@@ -210,7 +210,6 @@ def coarser(lens: Lens, times: int) -> Lens:
 SAMPLED = 50_000  # vertices that are held against the truth: one in so many
 MB = 1e6
 SHOWN = 20  # pictures are held against what surfels show
-SURFELS = ImageSettings(kind="surfels")
 COMPILED_CELL_M = 0.02  # of a first, small reconstruction, which is not timed: kernels are compiled by it
 
 
@@ -254,7 +253,7 @@ def _measure(folder: Path, count: int, seed: int) -> Row:
     surface_mb, figures = _peak_mb(), figures_of(built, ())
     compared = int((neighbours(stacked(views, 0)).of[:, :COMPARED] >= 0).sum())
     start = processor_s()
-    model = image(built.views, built.mesh, CELL_M, SURFELS, _silent, monotonic_s)
+    model = surfels.learnt(built.views, built.mesh, CELL_M, _silent)
     image_s, peak_mb = processor_s() - start, _peak_mb()
     step = max(1, len(built.mesh.vertices_m) // SAMPLED)
     box = np.array([*SIZE_M[:2], SURFACE_M])
@@ -283,7 +282,7 @@ def _compile(folder: Path, seed: int) -> None:
     few = kept(folder, 3)
     refine(noisy(few, seed))
     built = build(few, COMPILED_CELL_M, True, _silent)
-    image(built.views, built.mesh, COMPILED_CELL_M, SURFELS, _silent, monotonic_s)
+    surfels.learnt(built.views, built.mesh, COMPILED_CELL_M, _silent)
 
 
 def _refined(views: list[View], seed: int) -> Row:
