@@ -22,7 +22,6 @@ from numpy.typing import NDArray
 
 from agent.clock.clock import StandingClock
 from agent.core.config import Cues, Fleet, Pose, Target, WaterKind
-from agent.core.control.sweep import Measurement, Sweep
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import (
     Calibration,
@@ -37,6 +36,7 @@ from agent.core.ranging.camera_model import (
 )
 from agent.core.ranging.fix import NoRange, distance, locate
 from agent.core.step_io import SetPoint, Sighting, Telemetry
+from agent.core.sweep import Measurement, Sweep
 from agent.experiments.experiment import DEFAULT_SENSOR, Row
 from agent.perception.clarity import around
 from agent.perception.detection.detectors import load_detectors

@@ -25,7 +25,6 @@ from agent.core.capability import (
     TargetView,
 )
 from agent.core.config import common
-from agent.core.control.sweep import Measurement, Rejected
 from agent.core.estimation.evidence_table import inside
 from agent.core.estimation.interface import Prior
 from agent.core.estimation.protocols import iteration_ns
@@ -35,6 +34,7 @@ from agent.core.ranging.fix import EXACT, Fix, NoRange, OwnPose, locate
 from agent.core.status import Status, sweep_outcome
 from agent.core.step_io import SweepOutcome
 from agent.core.step_transaction import Net, Revertible
+from agent.core.sweep import Measurement, Rejected
 from agent.core.target_state import TargetState
 from agent.core.topics import next_due_ns
 from agent.robot.target_search import Seek, TargetScheduler

@@ -21,6 +21,7 @@ from agent.core.codec import encode
 from agent.core.config import Fleet, Lighting, Target, WaterOptics
 from agent.core.messages import Vector
 from agent.core.step_io import Heard, Inputs, SetPoint, Sighting, SweepPlan
+from agent.core.topics import LIGHT
 from agent.process.keys import public_bytes, signing, unsigned
 from agent.robot.fleet_reader import load_fleet
 from replay.files.log import parts
@@ -189,7 +190,7 @@ class Robot:
         outputs = self.agent.step(inputs, now_ns)
         self.act(outputs.set_point, outputs.sweep)
         words = [(e.dst, Heard(arrived_ns=now_ns, src=self.name, payload=encode(self.sign(e)))) for e in outputs.says]
-        for light in outputs.light or ():
+        for light in outputs.said(LIGHT):
             heard = Heard(arrived_ns=now_ns, src=self.name, payload=encode(light), topic="light")
             words.append((light.dst, heard))
         return words

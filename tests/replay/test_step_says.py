@@ -6,29 +6,30 @@ import pytest
 from msgspec import UNSET, UnsetType
 
 from agent.clock.clock import SystemClock
-from agent.core.messages import Estimate, Presence
-from agent.core.step_io import Inputs, Outputs, SetPoint
+from agent.core.codec import encode
+from agent.core.messages import Estimate
+from agent.core.step_io import Inputs, Outputs, Said, SetPoint
 from agent.process.agent_process import Runtime
 from tests.sample_messages import presence
 
-NEAR = presence("r1", "r2"), presence("r1", "r3")
+NEAR = tuple(Said(topic="near", to=to, payload=encode(presence("r1", to))) for to in ("r2", "r3"))
 
 
 class Says:
     """An agent that says that in each step."""
 
-    def __init__(self, near: tuple[Presence, ...] | UnsetType) -> None:
-        self.near = near
+    def __init__(self, outgoing: tuple[Said, ...] | UnsetType) -> None:
+        self.outgoing = outgoing
 
     def step(self, inputs: Inputs, now_ns: int) -> Outputs:
         self.faults = inputs.faults
-        return Outputs(set_point=SetPoint(depth_m=0.3), near=self.near)
+        return Outputs(set_point=SetPoint(depth_m=0.3), outgoing=self.outgoing)
 
 
 class Around:
     """Camera, control module and network; what is said goes to `hear`."""
 
-    def __init__(self, hear: Callable[[Estimate | Presence], None]) -> None:
+    def __init__(self, hear: Callable[[Estimate | Said], None]) -> None:
         self.say = hear
 
     def drain(self) -> tuple[tuple, tuple]:
@@ -47,22 +48,22 @@ class Blind(Around):
     views = drain
 
 
-def loop(agent: Says, hear: Callable[[Estimate | Presence], None]) -> Runtime:
+def loop(agent: Says, hear: Callable[[Estimate | Said], None]) -> Runtime:
     signed = pytest.fail  # of estimates alone
     ends = Blind(hear), Around(hear), Around(hear)
     return Runtime("r1", agent, *ends, lambda *record: None, SystemClock(), sign=signed)
 
 
-@pytest.mark.parametrize("near", [NEAR, UNSET])
-def test_each_neighbour_is_told_where_a_robot_that_swims_is(near: tuple[Presence, ...] | UnsetType) -> None:
-    told: list[Estimate | Presence] = []
-    loop(Says(near), told.append).step(0)
-    assert tuple(told) == (near or ())
+@pytest.mark.parametrize("outgoing", [NEAR, UNSET])
+def test_each_neighbour_is_told_what_capabilities_tell(outgoing: tuple[Said, ...] | UnsetType) -> None:
+    told: list[Estimate | Said] = []
+    loop(Says(outgoing), told.append).step(0)
+    assert tuple(told) == (outgoing or ())
 
 
 def test_a_network_that_cannot_take_it_is_a_fault_and_the_loop_goes_on() -> None:
-    def closed(said: Estimate | Presence) -> None:
-        raise OSError(f"{said.dst} is closed")
+    def closed(said: Estimate | Said) -> None:
+        raise OSError(f"{said.to} is closed")
 
     agent = Says(NEAR)
     runs = loop(agent, closed)

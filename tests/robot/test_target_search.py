@@ -7,7 +7,7 @@ from agent.core.ranging.camera_model import look_at
 from agent.core.step_io import Sighting
 from agent.robot.target_search import LOST_NS, PATIENCE, TURN, Seek, TargetScheduler
 from tests.capabilities.swim.swimming_agent import CALIBRATION, POSE, fleet
-from tests.core.control.situations import LEVEL, situation
+from tests.core.situations import LEVEL, situation
 
 START_NS, STEP_NS = 10**18, 50_000_000
 TOLD_M = (1.7, 1.5, 0.2)  # where others say that the ball is

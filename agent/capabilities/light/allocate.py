@@ -28,8 +28,8 @@ from agent.core.attitude import Attitude
 from agent.core.capability import Situation
 from agent.core.capability_messages import LampNow, Why
 from agent.core.config import Body, Fleet, Lighting, Pose, Target
-from agent.core.control.pointing import HIGHEST_US, LOWEST_US, SLEW_US_PER_S
 from agent.core.messages import Vector
+from agent.core.pointing import HIGHEST_US, LOWEST_US, SLEW_US_PER_S
 from agent.core.ranging.camera_model import Calibration, Eye, camera_pose, look_at
 from agent.core.ranging.focus import lens_position
 from agent.core.step_io import Telemetry

@@ -12,8 +12,8 @@ from agent.core.attitude import Attitude
 from agent.core.capability import Situation, eye_of
 from agent.core.capability_messages import MOST_HOLDS_S, MOST_WAITED, Lease
 from agent.core.config import Fleet, Lighting, Pose, Target
-from agent.core.control.pointing import SEARCH_DEG
 from agent.core.messages import Vector
+from agent.core.pointing import SEARCH_DEG
 from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, camera_pose, ray, to_world
 from agent.core.ranging.focus import lens_position
 from agent.core.step_transaction import Revertible

@@ -33,11 +33,11 @@ from agent.core.capability import (
 from agent.core.capability_messages import Light as LightSaid
 from agent.core.codec import Refusal, decode
 from agent.core.config import Cues, Target
-from agent.core.control.sweep import ByLight, Measurement
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Eye
 from agent.core.ranging.fix import Outline
 from agent.core.step_io import Heard, SweepOutcome
+from agent.core.sweep import ByLight, Measurement
 from agent.core.topics import LIGHT, Topic
 from agent.core.verbs import Args, Burn, Resume, within
 

@@ -21,11 +21,11 @@ from agent.capabilities.survey.coverage_map import FARTHEST_M, NEAREST_M, Covera
 from agent.capabilities.survey.survey import block_px, lens_of, sigma_of
 from agent.core.attitude import Attitude
 from agent.core.config import Fleet, Lighting, Pose, WaterOptics
-from agent.core.control.sweep import full_positions
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Calibration
 from agent.core.ranging.focus import h
 from agent.core.step_io import SweepPlan
+from agent.core.sweep import full_positions
 from agent.experiments.ball_measurements import PosedRobot
 from agent.perception.depth_sweep import BlockSweep
 from agent.process.command import fleet_file

@@ -24,6 +24,7 @@ from agent.core.codec import encode
 from agent.core.config import Fleet
 from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Heard, Inputs, Outputs, Sighting
+from agent.core.topics import LIGHT, NEAR
 from agent.demo.demo import SETTLE_ITERATIONS, SETTLE_M, SETTLE_WINDOW
 from agent.demo.summary import History, settled
 from agent.experiments.ball_measurements import PosedRobot
@@ -191,7 +192,7 @@ def under_way(
 
 def letters(src: str, outputs: Outputs, now_ns: int) -> list[tuple[Heard, str]]:
     """What a robot says, and to whom."""
-    topics = (UNSET, outputs.says), ("light", outputs.light or ()), ("near", outputs.near or ())
+    topics = (UNSET, outputs.says), ("light", outputs.said(LIGHT)), ("near", outputs.said(NEAR))
     return [
         (Heard(arrived_ns=now_ns, src=src, topic=topic, payload=encode(said)), said.dst)
         for topic, letters_of in topics

@@ -17,6 +17,7 @@ from agent.capabilities.light.allocate import DARK_NS, Choice, Lamp, Scene
 from agent.core.codec import encode
 from agent.core.config import Fleet, Lighting, WaterOptics
 from agent.core.step_io import Heard, Inputs, Outputs, Sighting
+from agent.core.topics import LIGHT
 from agent.demo.demo import demo_fleet
 from agent.robot.step import Agent
 from tests.network.scripted_agent import CALIBRATION, Motors, Script
@@ -154,7 +155,7 @@ class LitSwarm:
 
     def carry(self, src: str, outputs: Outputs) -> None:
         """What a robot says, on its way. The newest two of each kind are kept between two steps, as transport does."""
-        lights = outputs.light or ()
+        lights = tuple(outputs.said(LIGHT))
         for said in (*outputs.says, *lights):
             payload = Heard(
                 arrived_ns=self.now_ns, src=src, payload=encode(said), **({"topic": "light"} if said in lights else {})

@@ -21,12 +21,12 @@ from agent.core.attitude import Attitude
 from agent.core.capability import LightView, Situation
 from agent.core.capability_messages import Lease
 from agent.core.config import Target
-from agent.core.control.pointing import SEARCH_DEG
-from agent.core.control.search_pattern import SearchPlan
+from agent.core.pointing import SEARCH_DEG
+from agent.core.search_pattern import SearchPlan
 from agent.core.step_io import Sighting
 from agent.robot.target_search import Seek
 from tests.capabilities.light.lit_swarm import STEP_NS, LitScript, LitSwarm, lit_fleet
-from tests.core.control.situations import situation
+from tests.core.situations import situation
 from tests.network.scripted_agent import CALIBRATION
 
 FLEET = lit_fleet(3)

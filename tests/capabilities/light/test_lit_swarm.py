@@ -79,5 +79,5 @@ def test_a_fleet_without_lighting_says_nothing_of_light() -> None:
         state = robot.agent.measuring.current.last_state
         assert isinstance(state, State) and b"lamp" not in encode(state)
         assert b"light\x00" not in encode(robot.outputs)
-        assert not robot.outputs.light and robot.light == (0.0, (1500, 1500))
+        assert not robot.outputs.outgoing and robot.light == (0.0, (1500, 1500))
         assert not swarm.kept or swarm.kept[0].lamps == ()

@@ -9,6 +9,7 @@ from agent.capabilities.swim.pose_filter import Hull
 from agent.core.codec import encode
 from agent.core.config import Fleet, Goto, Link, Pose
 from agent.core.step_io import Heard
+from agent.core.topics import NEAR
 from tests.capabilities.swim.swimming_agent import FLOOR_M, STEP_NS, WALLS_M, InTank, fleet, robot
 
 PULL_N, PULLS_S = 0.05, 4.0  # of the tether, rms, and how long it is alike
@@ -72,7 +73,7 @@ class FleetInTank:
             heard, self._post[name] = self._post[name], []
             self._pull[name] = keeps * self._pull[name] + np.sqrt(1.0 - keeps**2) * self._draw()
             outputs = one.step(heard=heard, pull=self._pull[name])
-            for said in outputs.near or ():
+            for said in outputs.said(NEAR):
                 if name not in self.silent and self.rng.random() >= self.loss:
                     # It comes in the neighbour's next step, whose clock is then one step further.
                     letter = Heard(arrived_ns=one.now_ns, src=name, payload=encode(said), topic="near")

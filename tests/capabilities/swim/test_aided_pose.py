@@ -5,7 +5,6 @@ import math
 
 import numpy as np
 import pytest
-from msgspec import UNSET
 
 from agent.capabilities.swim import pose_filter
 from agent.capabilities.swim.aided_pose import Aid, Seen, aided, offset_m
@@ -197,8 +196,7 @@ def test_nothing_that_is_said_has_anything_of_it() -> None:
     for now_ns, inputs, outputs, _ in did:
         told = again.step(inputs, now_ns)
         assert [encode(each) for each in told.says] == [encode(each) for each in outputs.says]
-        assert told.near is UNSET or [encode(e) for e in told.near] == [encode(e) for e in outputs.near]
-        assert (told.near is UNSET) == (outputs.near is UNSET)
+        assert told.outgoing == outputs.outgoing
         differed += told.set_point.force_n != outputs.set_point.force_n
     assert differed > 20  # where it is decides where it swims
 

@@ -12,6 +12,7 @@ from agent.core.codec import encode
 from agent.core.config import Goto, Limits, Look, Navigation, Orbit, Turn
 from agent.core.step_io import Heard
 from agent.core.step_transaction import SURFACE_M
+from agent.core.topics import NEAR
 from agent.robot.step import Agent
 from tests.capabilities.swim.swimming_agent import CALIBRATION, DEPTH_M, POSE, STEP_NS, InTank, fleet
 from tests.capabilities.swim.swimming_fleet import FleetInTank, fleet_of
@@ -93,7 +94,7 @@ def test_it_brakes_though_it_is_lost_and_tells_the_others_where_it_may_be() -> N
     at_m, said = one.body.at[:2].copy(), []
     assert np.hypot(*one.body.speed[:2]) < 0.05
     for _ in range(3 * 20):
-        said += one.step().near or ()
+        said += one.step().said(NEAR)
     assert np.hypot(*(one.body.at[:2] - at_m)) < 0.10 and one.wrench == AT_REST
     off_m = np.hypot(said[-1].x_m - one.body.at[0], said[-1].y_m - one.body.at[1])
     sigma_m = np.sqrt(said[-1].cov[0] + said[-1].cov[3])

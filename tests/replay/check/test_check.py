@@ -311,7 +311,7 @@ def run(tmp_path: Path) -> Path:
 
 
 def test_outputs_are_replaced_and_inputs_kept(run: Path, git: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agent.core.control.sweep.TRACK_SPAN", 1.6)
+    monkeypatch.setattr("agent.core.sweep.TRACK_SPAN", 1.6)
     assert check([run]).exit_code == 1
     accepted = [text] if (text := info(run / "r1.mcap").run.get("accepted")) else []
     before = {record.sequence: record.data for record in read(run / "r1.mcap") if record.channel == "/raw/step_in"}

@@ -58,7 +58,7 @@ def test_todays_kernel_does_what_it_did_then() -> None:
 
 
 def test_another_behaviour_is_noticed_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agent.robot.step.LATEST_ITERATION", 1.4)
+    monkeypatch.setattr("agent.robot.targets.LATEST_ITERATION", 1.4)
     assert check([OLD]).exit_code == 1
 
 
@@ -113,7 +113,7 @@ def test_a_recording_from_before_batteries_were_said_is_told_from_another_behavi
     row = '[[ignore]]\nfield = "state.{}"\nreason = "not said then"\nsince = "2026-11-25"\n'
     rows.write_text("".join(map(row.format, ("battery_v", "ladder"))))
     assert check([old], rows).exit_code == 0
-    monkeypatch.setattr("agent.robot.step.STATE_NS", 250_000_000)
+    monkeypatch.setattr("agent.robot.targets.STATE_NS", 250_000_000)
     assert said not in text(check([old]))
 
 

@@ -118,13 +118,13 @@ def test_the_new_ones_show_what_they_are_kept_for() -> None:
 
 
 MUTATIONS = {
-    "agent.robot.step.LATEST_ITERATION": 1.4,
-    "agent.robot.step.STATE_NS": 250_000_000,
+    "agent.robot.targets.LATEST_ITERATION": 1.4,
+    "agent.robot.targets.STATE_NS": 250_000_000,
     "agent.robot.target_search.CENTRED": 1.0,
-    "agent.core.control.sweep.TRACK_SPAN": 1.6,
-    "agent.core.control.pointing.SETTLE_NS": 10**6,
+    "agent.core.sweep.TRACK_SPAN": 1.6,
+    "agent.core.pointing.SETTLE_NS": 10**6,
     "agent.core.estimation.fuse.AGREE": 1e6,
-    "agent.core.control.sweep.HOME": 0.7,
+    "agent.core.sweep.HOME": 0.7,
     "agent.core.status.NO_FRAMES_NS": 10**7,
 }
 

@@ -12,7 +12,7 @@ from tests.places import ROOT
 
 TEST = """
 import pytest
-from agent.robot import step
+from agent.robot import targets
 from tests.robot.ordering import Ordering
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def test_is_shared(robot):
     robot.run(0.5)
 
 def test_steps_nothing():
-    step.STATE_NS = {state_ns}
+    targets.STATE_NS = {state_ns}
 """
 NODES = ["fixture robot", "test_is_shared", "test_runs[1.0]", "test_runs[2.0]"]
 

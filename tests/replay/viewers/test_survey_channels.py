@@ -19,7 +19,7 @@ from agent.core.capability_messages import UNIT_M, Claim, Frame, Keyframe, View,
 from agent.core.codec import encode
 from agent.core.messages import State, Whereabouts
 from agent.core.ranging.focus import lens_position
-from agent.core.step_io import Outputs, SetPoint, Sighting
+from agent.core.step_io import Outputs, Said, SetPoint, Sighting
 from agent.perception.depth_sweep import BLOCK_PX, growth, sweep_depth
 from replay.files.channels import VISION, Entry, entry_on
 from replay.files.frames import frame_entries
@@ -145,11 +145,15 @@ def test_a_claim_is_shown_once_and_its_view_along_the_optical_axis() -> None:
 
 
 def test_a_black_box_shows_its_own() -> None:
-    words = tuple(keyframe(FRAMES[0], dst) for dst in ("r2", "r3"))
+    claims = tuple(claim(CoverageMap(GRID), dst=dst) for dst in FLEET.robot["r1"].neighbours)
+    keyframes = tuple(keyframe(FRAMES[0], dst) for dst in ("r2", "r3"))
     outputs = Outputs(
         set_point=SetPoint(depth_m=0.2, roll_deg=0.0, pitch_deg=0.0, servos_us=(1500,) * 4),
-        claims=tuple(claim(CoverageMap(GRID), dst=dst) for dst in FLEET.robot["r1"].neighbours),
-        keyframes=words,
+        outgoing=tuple(
+            Said(topic=topic, to=word.dst, payload=encode(word))
+            for topic, words in (("claim", claims), ("keyframe", keyframes))
+            for word in words
+        ),
     )
     shown = seen(Entry("/raw/step_out", 5, 5, 0, encode(outputs), "msgpack", {}), robot="r1")
     assert {channel: len(of) for channel, of in shown.items()} == {"/r1/plot/survey": 1, "/r1/survey/keyframe": 1}

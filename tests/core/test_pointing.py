@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from agent.core.control.pointing import (
+from agent.core.pointing import (
     HIGHEST_US,
     KEEP_NS,
     LAG_SIGMA_S,

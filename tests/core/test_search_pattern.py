@@ -5,11 +5,11 @@ import pytest
 
 from agent.core.capability import CameraAct, LightView
 from agent.core.config import Body
-from agent.core.control.search_pattern import FRAMES, Roam, SearchPlan, all_around, spiral, view_deg
+from agent.core.search_pattern import FRAMES, Roam, SearchPlan, all_around, spiral, view_deg
 from agent.core.step_io import Sighting
 from agent.robot.target_search import Seek
 from tests.capabilities.swim.swimming_agent import CALIBRATION, CAMERA, fleet
-from tests.core.control.situations import situation
+from tests.core.situations import situation
 
 START_NS, STEP_NS = 10**18, 50_000_000
 WAYS = ((-60.0, -10.0), (0.0, -10.0), (60.0, -10.0))

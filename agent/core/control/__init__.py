@@ -1,1 +1,0 @@
-"""Gimbal and lens: where the camera points, how it searches for a target, and when it sweeps the focus."""
