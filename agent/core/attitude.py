@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from agent.core.step_io import Telemetry
@@ -35,6 +36,10 @@ class AttitudeLog(Revertible):
         while self._log[0].t_ns < telemetry.t_ns - KEEP_NS:
             self._log.popleft()
 
+    def extend(self, told: Iterable[Telemetry]) -> None:
+        for telemetry in told:
+            self.add(telemetry)
+
     def silent(self, now_ns: int, since_ns: int) -> bool:
         """Whether no telemetry came of late; `since_ns` is when listening began."""
         newest_ns = self._log[-1].t_ns if self._log else since_ns
@@ -47,6 +52,11 @@ class AttitudeLog(Revertible):
         """
         newest = self.newest
         return newest is not None and not self.silent(now_ns, 0) and newest.armed and newest.ladder == 0
+
+    def now(self, now_ns: int) -> Attitude | None:
+        """By the newest telemetry; None: the module is silent."""
+        newest = self.newest
+        return None if newest is None or self.silent(now_ns, 0) else self.at(newest.t_ns)
 
     def at(self, t_ns: int) -> Attitude | None:
         """Linear between the two frames around a time; None where there are none near."""

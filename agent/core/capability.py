@@ -26,7 +26,7 @@ from agent.core.ranging.camera_model import Calibration, Eye, camera_pose
 from agent.core.ranging.fix import Fix, Outline, OwnPose
 from agent.core.search_pattern import SearchPlan
 from agent.core.status import Logbook
-from agent.core.step_io import BlockPeaks, Flow, Heard, SeenTags, Sighting, SweepOutcome, SweepPlan, Telemetry
+from agent.core.step_io import Heard, Inputs, Sighting, SweepOutcome, SweepPlan
 from agent.core.step_transaction import Revertible
 from agent.core.sweep import ByLight, Measurement
 from agent.core.target_state import TargetEstimate
@@ -36,16 +36,6 @@ from agent.core.verbs import Args
 Planar = tuple[float, float]
 
 # --- what is believed: the situation of one step ---
-
-
-class Percept(NamedTuple):
-    """What the robot's own devices have given since the last step."""
-
-    telemetry: tuple[Telemetry, ...]
-    sightings: tuple[Sighting, ...]
-    landmarks: tuple[SeenTags, ...]
-    flow: tuple[Flow, ...]
-    blocks: tuple[BlockPeaks, ...]
 
 
 class SearchView(NamedTuple):
@@ -180,6 +170,7 @@ class Situation(NamedTuple):
     neighbours: tuple[NeighbourView, ...] | None = None  # in the order of names; None: all are moored
     search: SearchPlan | None = None  # that a robot that searches has the camera look by
     view_sweep: bool = False  # a sweep over whole frames is under way, of no target
+    camera_holder: str = ""  # the row of the table of priorities that has the camera in this step, once it is granted
     station: tuple[Planar, float] | None = None  # where a survey looks from, and the yaw there, rad; None: where it is
 
     @property
@@ -280,7 +271,7 @@ class Capability(Revertible):
     def receive(self, heard: Heard, accepted: frozenset[int]) -> None:
         """A payload on a key of one of its topics; accepted: schemas. Raises Refusal where it is not believed."""
 
-    def update(self, percept: Percept, situation: Situation) -> Situation:
+    def update(self, inputs: Inputs, situation: Situation) -> Situation:
         """Take in what the devices gave, before targets are measured. situation: camera and light of the step before.
         Returns it with its own fields as they are now."""
         return situation

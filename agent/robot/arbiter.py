@@ -10,14 +10,26 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, Literal, NamedTuple
 
+from msgspec import UNSET, UnsetType
+
 from agent.capabilities.light.lights import Light
 from agent.capabilities.survey.survey import Survey
 from agent.capabilities.swim.swim import Swim
-from agent.core.capability import Capability, Context, Illumination, PoseSource, Proposal, Resource, Situation
-from agent.core.codec import Refusal
-from agent.core.config import Fleet
-from agent.core.step_io import Grant, Heard
+from agent.core.capability import (
+    Capability,
+    Context,
+    Illumination,
+    Outgoing,
+    PoseSource,
+    Proposal,
+    Resource,
+    Situation,
+)
+from agent.core.codec import Refusal, encode
+from agent.core.estimation.interface import Bearing, Posterior
+from agent.core.step_io import Grant, Heard, Inputs, Said
 from agent.core.step_transaction import Revertible
+from agent.core.verbs import Args
 
 # --- capabilities ---
 
@@ -25,11 +37,13 @@ from agent.core.step_transaction import Revertible
 CAPABILITIES: tuple[type[Capability], ...] = (Swim, Light, Survey)
 
 
-class Equipment(Revertible):
-    """The capabilities of one robot, by name."""
+class Equipment(Capability):
+    """All capabilities of one robot as one."""
+
+    name, table, does = "equipment", "", "is equipped"
 
     def __init__(self, context: Context) -> None:
-        """Those whose table stands in the fleet file. The first that says where the robot was, or lights, counts."""
+        """Those whose table stands in the fleet file. The last that says where the robot was, or lights, counts."""
         self.by_name: dict[str, Capability] = {}
         for kind in CAPABILITIES:
             if getattr(context.fleet, kind.table) is None:
@@ -41,7 +55,7 @@ class Equipment(Revertible):
                 context = context._replace(light=one)
         self.source, self.light = context.source, context.light
 
-    def receive(self, heard: Heard, accepted: frozenset[int]) -> bool:
+    def take(self, heard: Heard, accepted: frozenset[int]) -> bool:
         """Whether a payload was for a capability. Raises Refusal where it is not believed."""
         for kind in CAPABILITIES:
             if all(topic.name != heard.topic for topic in kind.topics):
@@ -53,10 +67,48 @@ class Equipment(Revertible):
             return True
         return False
 
+    def update(self, inputs: Inputs, situation: Situation) -> Situation:
+        for one in self.by_name.values():
+            situation = one.update(inputs, situation)
+        return situation
 
-def tables(fleet: Fleet) -> tuple[str, ...]:
-    """Names of the capabilities that a fleet file gives its robots."""
-    return tuple(kind.name for kind in CAPABILITIES if getattr(fleet, kind.table) is not None)
+    def decide(self, situation: Situation) -> Situation:
+        for one in self.by_name.values():
+            situation = one.decide(situation)
+        return situation
+
+    def settle(self, situation: Situation) -> Situation:
+        for one in self.by_name.values():
+            situation = one.settle(situation)
+        return situation
+
+    def bearing(self, target: str, believed: Callable[[], Posterior | None], now_ns: int) -> Bearing | None:
+        found = (one.bearing(target, believed, now_ns) for one in self.by_name.values())
+        return next((bearing for bearing in found if bearing is not None), None)
+
+    def propose(self, situation: Situation) -> Iterable[Proposal[Any]]:
+        return (each for one in self.by_name.values() for each in one.propose(situation))
+
+    def carry_out(self, command: Args) -> bool:
+        return any([one.carry_out(command) for one in self.by_name.values()])
+
+    def outgoing(self, situation: Situation) -> Iterable[Outgoing]:
+        return (each for one in self.by_name.values() for each in one.outgoing(situation))
+
+    def said(self, situation: Situation) -> tuple[Said, ...]:
+        """What neighbours are told in this step, as it is sent."""
+        told = self.outgoing(situation)
+        return tuple(Said(topic=each.topic.name, to=each.to, payload=encode(each.message)) for each in told)
+
+    def telemetry(self, now_ns: int) -> Mapping[str, Any]:
+        return {name: part for one in self.by_name.values() for name, part in one.telemetry(now_ns).items()}
+
+    def faults(self, now_ns: int) -> tuple[str, ...]:
+        return tuple(fault for one in self.by_name.values() for fault in one.faults(now_ns))
+
+    def lens(self, now_ns: int) -> int | UnsetType | None:
+        lenses = (one.lens(now_ns) for one in self.by_name.values())
+        return next((lens for lens in lenses if lens is not UNSET), UNSET)
 
 
 # --- priorities ---
@@ -81,7 +133,8 @@ PRIORITIES = (
     Row("camera", "operator", "a look is ordered", ("none",)),
     Row("camera", "survey", "a view is chosen, looked at or swept", ("none", "view")),
     Row("camera", "pursuit", "its behaviour is about a target that swims", ("none",)),
-    Row("camera", "target", "nothing else takes it: targets have their turns"),
+    Row("camera", "target", "nothing else takes it: targets have their turns", ("none", "target")),
+    Row("camera", "hold", "a view's sweep runs: the gimbal stays as long as that counts"),
     Row("body", "off", "the control module does not obey, or it is not known where the robot is"),
     Row("body", "behaviour", "it is under way, and no light is lent"),
     Row("body", "stay", "it knows where it is"),

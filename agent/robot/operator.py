@@ -8,13 +8,13 @@ its age, and no arm that was on its way undoes it.
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
-from agent.core.capability import CameraAct, Capability, Overrides, Proposal, Situation
+from agent.core.capability import CameraAct, Overrides, Proposal, Situation
 from agent.core.codec import Refusal, decode
 from agent.core.config import Fleet, Follow, Goto, Hold, Orbit, Search, Survey, Trial, Turn
 from agent.core.messages import MAX_ORDER, MAX_WORDS, Answer, Order
@@ -40,7 +40,7 @@ from agent.core.verbs import (
     in_words,
     within,
 )
-from agent.robot.arbiter import CAPABILITIES
+from agent.robot.arbiter import CAPABILITIES, Equipment
 from agent.robot.fleet_reader import wrong_way
 
 # --- what is ordered of the devices ---
@@ -72,8 +72,8 @@ class Commands(Revertible):
     """Commands that are in force, and what carrying one out means; which console may give it, and when, is judged
     before (Operator)."""
 
-    def __init__(self, fleet: Fleet, name: str, capabilities: Mapping[str, Capability]) -> None:
-        self._fleet, self._robot, self._capabilities = fleet, fleet.robot[name], capabilities
+    def __init__(self, fleet: Fleet, name: str, equipment: Equipment) -> None:
+        self._fleet, self._robot, self._equipment = fleet, fleet.robot[name], equipment
         self.overrides, self.at_once = Overrides(), AtOnce()
 
     def carry_out(self, what: Args) -> None:
@@ -99,7 +99,7 @@ class Commands(Revertible):
             case Resume():
                 self.overrides = Overrides()
                 self.at_once = self.at_once._replace(preview_hz=self._fleet.link.preview_hz)
-                self._by_owners(what)
+                self._equipment.carry_out(what)
             case Burn():
                 self._by_owner(what)
             case _:
@@ -117,20 +117,16 @@ class Commands(Revertible):
     def _motors(self, ordered: Motors) -> None:
         self.at_once = self.at_once._replace(motors=prevailing(self.at_once.motors, ordered))
 
-    def _by_owners(self, what: Args) -> bool:
-        """Whether it concerned any capability."""
-        return any([one.carry_out(what) for one in self._capabilities.values()])
-
     def _by_owner(self, what: Args) -> None:
         """By the capability that it is for. Raises Refusal where this robot lacks it."""
-        if not self._by_owners(what):
+        if not self._equipment.carry_out(what):
             raise Refusal("content", lacking(what))
 
     def _hold(self, what: HoldHere) -> None:
         if what.depth_m is not None:
             within("depth_m", what.depth_m, SURFACE_M, self._fleet.tank.surface_m)
             self.overrides = self.overrides._replace(depth_m=what.depth_m)
-        if self._by_owners(what):
+        if self._equipment.carry_out(what):
             self.overrides = self.overrides._replace(behaviour=Hold())
 
     def _draw(self, what: DrawBox) -> None:
@@ -169,7 +165,7 @@ class Commands(Revertible):
             raise Refusal(
                 "content", "its behaviour in the fleet file is no survey, so that it has not chosen any views"
             )
-        swims = any(isinstance(what, one.commands) for one in self._capabilities.values())
+        swims = any(isinstance(what, one.commands) for one in self._equipment.by_name.values())
         if swims and (wrong := wrong_way(self._fleet, what)) is not None:
             raise Refusal("content", wrong)
         self._by_owner(what)
@@ -261,11 +257,9 @@ BROKE = "the step that it came with broke, and it was left out; order again"
 class Operator(Revertible):
     """Judges the orders to one robot, has them carried out and answers them."""
 
-    def __init__(
-        self, fleet: Fleet, name: str, incarnation: int, capabilities: Mapping[str, Capability], log: Logbook
-    ) -> None:
+    def __init__(self, fleet: Fleet, name: str, incarnation: int, equipment: Equipment, log: Logbook) -> None:
         self._fleet, self._name, self._incarnation, self._log = fleet, name, incarnation, log
-        self._commands, self._memory = Commands(fleet, name, capabilities), Memory()
+        self._commands, self._memory = Commands(fleet, name, equipment), Memory()
         self._halted_ns = -1  # when a stop or a surfacing was ordered last
         self._holds: dict[str, str] = {}  # what each of a robot's parts is ordered to do, and by which console
         self._now: dict[tuple[str, bytes], Answer] = {}  # of this step

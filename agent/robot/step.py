@@ -7,12 +7,13 @@ The same inputs at the same times give the same bytes, which is what replay reli
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import chain
 from typing import Any
 
 import msgspec
 from msgspec import UNSET
 
-from agent.core.attitude import Attitude, AttitudeLog
+from agent.core.attitude import AttitudeLog
 from agent.core.capability import (
     DAYLIGHT,
     MOORED,
@@ -20,16 +21,14 @@ from agent.core.capability import (
     CameraAct,
     Context,
     LampAct,
-    Percept,
     Proposal,
     Situation,
 )
-from agent.core.codec import encode
 from agent.core.config import Fleet, common
 from agent.core.messages import SCHEMA
 from agent.core.ranging.camera_model import Calibration
 from agent.core.status import Status
-from agent.core.step_io import Inputs, Outputs, Said, SetPoint
+from agent.core.step_io import Inputs, Outputs, SetPoint
 from agent.core.step_transaction import Net, Revertible
 from agent.robot.arbiter import Arbiter, Equipment
 from agent.robot.inbox import Inbox
@@ -48,18 +47,17 @@ class Agent(Revertible):
         self._fleet, self._robot = fleet, fleet.robot[name]
         self.attitude, self.status, self.net = AttitudeLog(), Status(fleet.fleet, name, incarnation), Net()
         context = Context(fleet, name, calibration, incarnation, self.attitude, self.status.log, DAYLIGHT, MOORED)
-        equipment = Equipment(context)
-        self.capabilities, self.light = equipment.by_name, equipment.light
+        self.equipment = Equipment(context)
+        self.capabilities, self._light = self.equipment.by_name, self.equipment.light
         self.seek = Seek(fleet, self._robot, calibration)
-        self.measuring = Targets(context._replace(light=equipment.light, source=equipment.source), self.seek)
+        self.measuring = Targets(context._replace(light=self._light, source=self.equipment.source), self.seek)
         self.targets = self.measuring.all
-        self.inbox = Inbox(self.targets, fleet.tank, common(fleet), schema, equipment)
-        self.telemetry = Telemetry(self.targets, self.status, self.attitude, self.capabilities, self.net)
-        self.operator = Operator(fleet, name, incarnation, self.capabilities, self.status.log)
+        self.inbox = Inbox(self.targets, fleet.tank, common(fleet), schema, self.equipment)
+        self.telemetry = Telemetry(self.targets, self.status, self.attitude, self.equipment, self.net)
+        self.operator = Operator(fleet, name, incarnation, self.equipment, self.status.log)
         self.arbiter = Arbiter()
         targets = self.measuring.views(None, (), 0)
         self._situation = Situation(0, None, self._robot.pose, self.seek.view(0), self.measuring.watched, targets)
-        self._signed = False
 
     def step(self, inputs: Inputs, now_ns: int) -> Outputs:
         """Take in all that arrived since the last step, decide, and say what to do and to send.
@@ -74,31 +72,30 @@ class Agent(Revertible):
     def _step(self, inputs: Inputs, now_ns: int) -> Outputs:
         situation = self._take_in(inputs, now_ns)
         outcome = self.measuring.measure(now_ns)
-        self.measuring.iterate(situation.own, self.capabilities.values(), now_ns)
+        self.measuring.iterate(situation.own, self.equipment, now_ns)
         situation = self._decide(situation)
         camera: CameraAct = self.arbiter.grant("camera", self._proposals(situation), situation)
         self.seek.carry_out(camera, now_ns)
         if camera.target is not None:  # that is tracked: by frames, which need no light
-            self.light.released(now_ns)
-        situation = situation._replace(camera=self.seek.view(now_ns))
+            self._light.released(now_ns)
+        holder = self.arbiter.held["camera"]
+        situation = situation._replace(camera=self.seek.view(now_ns), camera_holder=holder)
         lamp: LampAct | None = self.arbiter.grant("lamp", self._proposals(situation), situation)
-        for one in self.capabilities.values():
-            situation = one.settle(situation)
+        situation = self.equipment.settle(situation)
         says = self.measuring.say(situation.orders.send_hz, situation.own and situation.own.pursues, now_ns)
-        shown = self.inbox.refused, situation.camera.gimbal_deg, self._signed, self.operator.ordered, now_ns
+        shown = self.inbox.refused, situation.camera.gimbal_deg, self.measuring.signed, self.operator.ordered, now_ns
         state, log = self.telemetry.state(*shown), self.status.log.fetch(now_ns)
         body: BodyAct = self.arbiter.grant("body", self._proposals(situation), situation) or BodyAct()
         self._situation = situation
-        lenses = (one.lens(now_ns) for one in self.capabilities.values())
         return Outputs(
             sweep=camera.plan,
             says=says,
             state=state,
             log=log,
             set_point=self._set_point(body, lamp, situation),
-            outgoing=self._outgoing(situation) or UNSET,
+            outgoing=self.equipment.said(situation) or UNSET,
             grants=self.arbiter.changes() or UNSET,
-            lens=next((lens for lens in lenses if lens is not UNSET), UNSET),
+            lens=self.equipment.lens(now_ns),
             outcome=outcome,
         )
 
@@ -107,24 +104,14 @@ class Agent(Revertible):
         if not self._situation.now_ns:
             self.measuring.begin(now_ns)
             self.status.start(now_ns)
-        if inputs.keys is not UNSET:
-            self._signed = True
-            for each in self.targets.values():
-                each.estimator.trust(inputs.keys)
+        self.measuring.trust(inputs.keys)
         self.inbox.receive(inputs.heard, inputs.refused, self.status, now_ns)
         self.operator.take(inputs.orders, now_ns)
-        for telemetry in inputs.telemetry:
-            self.attitude.add(telemetry)
-            self.seek.add_telemetry(telemetry)
-        for sighting in inputs.sightings:
-            self.seek.add_sighting(sighting, self._situation.light)
-        seen = inputs.landmarks or (), inputs.flow or (), inputs.blocks or ()
-        percept = Percept(inputs.telemetry, inputs.sightings, *seen)
-        situation = self._situation._replace(
-            now_ns=now_ns, level=self._level(now_ns), camera=self.seek.view(now_ns), orders=self.operator.overrides
-        )
-        for one in self.capabilities.values():
-            situation = one.update(percept, situation)
+        self.attitude.extend(inputs.telemetry)
+        self.seek.see(inputs.telemetry, inputs.sightings, self._situation.light)
+        level, camera, orders = self.attitude.now(now_ns), self.seek.view(now_ns), self.operator.overrides
+        situation = self._situation._replace(now_ns=now_ns, level=level, camera=camera, orders=orders)
+        situation = self.equipment.update(inputs, situation)
         self.seek.view_sweep(situation.view_sweep)
         self.status.devices(inputs, self._faults(now_ns), self.attitude, now_ns)
         return situation
@@ -134,33 +121,19 @@ class Agent(Revertible):
         now_ns = situation.now_ns
         camera, own = self.seek.view(now_ns), situation.own
         situation = situation._replace(camera=camera, targets=self.measuring.views(own, (), now_ns))
-        for one in self.capabilities.values():
-            situation = one.decide(situation)
+        situation = self.equipment.decide(situation)
         self.seek.search(situation.search)
         self.measuring.take_turns(own and own.pursues)
         watched, camera = self.measuring.watched, self.seek.view(now_ns)
         return situation._replace(watched=watched, camera=camera, targets=self.measuring.views(own, (watched,), now_ns))
 
     def _proposals(self, situation: Situation) -> Iterable[Proposal[Any]]:
-        yield from self.operator.propose(situation)
-        for one in self.capabilities.values():
-            yield from one.propose(situation)
-        yield from self.measuring.propose(situation)
-
-    def _outgoing(self, situation: Situation) -> tuple[Said, ...]:
-        """What capabilities tell neighbours in this step."""
-        told = (each for one in self.capabilities.values() for each in one.outgoing(situation))
-        return tuple(Said(topic=each.topic.name, to=each.to, payload=encode(each.message)) for each in told)
-
-    def _level(self, now_ns: int) -> Attitude | None:
-        newest = self.attitude.newest
-        return None if newest is None or self.attitude.silent(now_ns, 0) else self.attitude.at(newest.t_ns)
+        return chain(*(one.propose(situation) for one in (self.operator, self.equipment, self.measuring)))
 
     def _faults(self, now_ns: int) -> tuple[str, ...]:
         """What is wrong by the kernel's own account."""
         ours = self.net.fault(now_ns)
-        felt = (fault for one in self.capabilities.values() for fault in one.faults(now_ns))
-        return (*self.inbox.faults(now_ns), *felt, *(() if ours is None else (ours,)))
+        return (*self.inbox.faults(now_ns), *self.equipment.faults(now_ns), *(() if ours is None else (ours,)))
 
     def _set_point(self, body: BodyAct, lamp: LampAct | None, situation: Situation) -> SetPoint:
         centre_us = round(self._fleet.body.servo_centre_us)

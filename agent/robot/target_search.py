@@ -4,7 +4,7 @@ targets, which one the camera looks at.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 
 from msgspec.structs import replace
 
@@ -85,6 +85,13 @@ class Seek(Revertible):
             most_sweep_ns=memory.sweep.most_ns,
             search=None if roam is None else SearchView(roam.target, roam.found, roam.spirals),
         )
+
+    def see(self, told: Iterable[Telemetry], sightings: Iterable[Sighting], light: LightView) -> None:
+        """Take in what came since the last step. light: by which the frames were seen."""
+        for telemetry in told:
+            self.add_telemetry(telemetry)
+        for sighting in sightings:
+            self.add_sighting(sighting, light)
 
     def add_sighting(self, sighting: Sighting, light: LightView) -> None:
         """Take note of one frame, seen by that light."""

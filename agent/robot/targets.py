@@ -59,6 +59,7 @@ class Targets(Revertible):
         self._scheduler = TargetScheduler(tuple(fleet.target))
         self._judged: Measurement | None = None  # a sweep whose light is not known to have stayed
         self._turned = False  # the turn changed in this step
+        self.signed = False  # what others measured counts by their signatures
         self._iterated_ns = self._say_due_ns = 0
         self._said = 0
 
@@ -70,6 +71,13 @@ class Targets(Revertible):
     @property
     def current(self) -> TargetState:
         return self.all[self.watched]
+
+    def trust(self, keys: Mapping[str, bytes] | UnsetType) -> None:
+        """Public keys of the robots, when they were read or changed."""
+        if keys is not UNSET:
+            self.signed = True
+            for each in self.all.values():
+                each.estimator.trust(keys)
 
     def begin(self, now_ns: int) -> None:
         """The first step."""
@@ -151,7 +159,7 @@ class Targets(Revertible):
 
     # --- iterations -------------------------------------------------------------------------------------------
 
-    def iterate(self, own: OwnView | None, capabilities: Iterable[Capability], now_ns: int) -> None:
+    def iterate(self, own: OwnView | None, equipment: Capability, now_ns: int) -> None:
         """One each period; a sweep that is nearly done is waited for, a frame of what swims does not wait itself."""
         target, elapsed_ns = self.current, now_ns - self._iterated_ns
         period_ns = self._iteration_ns[target.name]
@@ -160,8 +168,7 @@ class Targets(Revertible):
         if elapsed_ns < due_ns or (comes and elapsed_ns < LATEST_ITERATION * period_ns):
             return
         self._iterated_ns = now_ns
-        bearings = (one.bearing(target.name, lambda: target.estimator.posterior, now_ns) for one in capabilities)
-        target.observe(next((bearing for bearing in bearings if bearing is not None), None))
+        target.observe(equipment.bearing(target.name, lambda: target.estimator.posterior, now_ns))
         for each in self.all.values():
             each.catch_up(now_ns)
         if target.iterate(now_ns):
@@ -192,7 +199,7 @@ class Targets(Revertible):
     # --- camera, words ----------------------------------------------------------------------------------------
 
     def propose(self, situation: Situation) -> Iterable[Proposal[CameraAct]]:
-        return (Proposal("camera", "target", self._watch),)
+        return Proposal("camera", "target", self._watch), Proposal("camera", "hold", lambda at: CameraAct())
 
     def _watch(self, situation: Situation) -> CameraAct:
         """Look at the target whose turn it is, and sweep where a measurement is wanted."""
@@ -238,11 +245,11 @@ class Telemetry(Revertible):
         targets: Mapping[str, TargetState],
         status: Status,
         attitude: AttitudeLog,
-        capabilities: Mapping[str, Capability],
+        equipment: Capability,
         net: Net,
     ) -> None:
         self._targets, self._status, self._attitude = tuple(targets.values()), status, attitude
-        self._capabilities, self._net = capabilities, net
+        self._equipment, self._net = equipment, net
         self._period_ns = STATE_NS // len(targets)
         self._due_ns = self._shown = 0
 
@@ -262,7 +269,7 @@ class Telemetry(Revertible):
         self._shown += 1
         state = self._status.state(target, dict(refused), self._attitude, gimbal_deg, now_ns)
         mode: Mode = "running" if self._net.fault(now_ns) is None else "degraded"
-        parts = {key: value for one in self._capabilities.values() for key, value in one.telemetry(now_ns).items()}
+        parts = self._equipment.telemetry(now_ns)
         return target.show(replace(state, mode=mode, signed=signed, ordered=ordered, **parts))
 
     def last(self, target: TargetState, now_ns: int) -> State | None:

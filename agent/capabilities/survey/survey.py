@@ -39,7 +39,6 @@ from agent.core.capability import (
     Capability,
     Context,
     Outgoing,
-    Percept,
     Proposal,
     Situation,
     Spoiled,
@@ -68,7 +67,7 @@ from agent.core.messages import Vector
 from agent.core.pointing import reachable
 from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, at_lens_position, servos_us, to_world
 from agent.core.ranging.focus import at_tilt, h, lens_position, phase_sigma, range_variance
-from agent.core.step_io import BlockPeaks, Heard, SweepPlan
+from agent.core.step_io import BlockPeaks, Heard, Inputs, SweepPlan
 from agent.core.step_transaction import Revertible
 from agent.core.sweep import full_positions, home_position
 from agent.core.topics import CLAIM, KEYFRAME, Topic
@@ -404,10 +403,10 @@ class Survey(Capability):
             said = decode(heard.payload, Keyframe, KEYFRAME.limit, accepted)
             self.exchange.hear_keyframe(heard.src, said, heard.arrived_ns)
 
-    def update(self, percept: Percept, situation: Situation) -> Situation:
+    def update(self, inputs: Inputs, situation: Situation) -> Situation:
         """What sweeps showed that ended since the last step."""
         surveyor, now_ns = self.surveyor, situation.now_ns
-        for peaks in percept.blocks:
+        for peaks in inputs.blocks or ():
             if surveyor.awaits(peaks):
                 self._swept = Swept(peaks, self._eye(peaks.t_ns, situation), self._hulls(situation))
                 surveyor.judge()

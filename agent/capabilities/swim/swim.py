@@ -20,7 +20,6 @@ from agent.core.capability import (
     NeighbourView,
     Outgoing,
     OwnView,
-    Percept,
     PoseSource,
     Proposal,
     Sample,
@@ -31,7 +30,7 @@ from agent.core.config import Follow, Goto, Hold, Orbit, Pose, Search, Survey, T
 from agent.core.estimation.interface import Bearing, Posterior, Prior
 from agent.core.messages import Presence
 from agent.core.ranging.fix import Fix
-from agent.core.step_io import Heard
+from agent.core.step_io import Heard, Inputs
 from agent.core.step_transaction import SURFACE_M
 from agent.core.topics import NEAR, Topic
 from agent.core.verbs import BEHAVIOURS, Args, HoldHere, Resume, Set, within
@@ -60,11 +59,12 @@ class Swim(Capability, PoseSource):
         presence = decode(heard.payload, Presence, NEAR.limit, accepted)
         self.swimmer.company.neighbours.hear(heard.src, presence, heard.arrived_ns)
 
-    def update(self, percept: Percept, situation: Situation) -> Situation:
+    def update(self, inputs: Inputs, situation: Situation) -> Situation:
         now_ns = situation.now_ns
-        self.pursuit.see(percept.sightings)
-        self.swimmer.feel(percept.telemetry)
-        self.swimmer.see(percept.landmarks, percept.flow, self._attitude, situation.camera, now_ns)
+        self.pursuit.see(inputs.sightings)
+        self.swimmer.feel(inputs.telemetry)
+        seen = inputs.landmarks or (), inputs.flow or ()
+        self.swimmer.see(*seen, self._attitude, situation.camera, now_ns)
         neighbours = neighbour_views(self.swimmer.company.neighbours, now_ns)
         return situation._replace(own=self._own(now_ns), neighbours=neighbours)
 
@@ -92,6 +92,12 @@ class Swim(Capability, PoseSource):
             pursues=swimmer.pursues,
             sighted=self.pursuit.sighted,
         )
+
+    def settle(self, situation: Situation) -> Situation:
+        """A look for landmarks is over as soon as something else has the camera."""
+        if situation.camera_holder != "landmarks":
+            self.swimmer.look_back()
+        return situation
 
     def bearing(self, target: str, believed: Callable[[], Posterior | None], now_ns: int) -> Bearing | None:
         return self.pursuit.bearing(target, believed, now_ns)

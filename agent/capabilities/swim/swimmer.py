@@ -424,6 +424,10 @@ class Swimmer(Revertible):
         aim_deg = self._glance.direction_deg(pose, known, level, steady, now_ns, from_deg)
         return CameraAct(aim_deg, "track" if swift else "rest")
 
+    def look_back(self) -> None:
+        """The camera is not at landmarks any more."""
+        self._glancing = False
+
     # --- body, row by row of the table of priorities ---
 
     def off(self, situation: Situation) -> BodyAct | None:
