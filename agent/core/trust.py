@@ -90,6 +90,11 @@ class Authority(Revertible):
         self._heard_ns: dict[str, int] = {}  # directly
         self._budget: dict[str, tuple[float, int]] = {name: (BURST, 0) for name in neighbours}  # at a time
 
+    def replace_keys(self, keys: Mapping[str, bytes]) -> Mapping[str, bytes] | None:
+        """Take over public keys; returns those of before."""
+        before, self.keys = self.keys, dict(keys)
+        return before
+
     def heard(self, src: str, now_ns: int) -> None:
         """A message of this neighbour came."""
         self._heard_ns[src] = now_ns

@@ -32,6 +32,10 @@ class TargetMemory(Revertible):
         self.search = Search()
         self.seen: Sighting | None = None  # newest frame with the target in it, gimbal at rest where it is now
 
+    def saw(self, sighting: Sighting | None) -> None:
+        """A frame shows it; None: the gimbal looks elsewhere now."""
+        self.seen = sighting
+
     def in_view(self, now_ns: int) -> bool:
         return self.seen is not None and now_ns - self.seen.t_ns < IN_VIEW_NS
 
@@ -100,7 +104,7 @@ class Seek(Revertible):
             return
         memory.sweep.frame(sighting)
         if sighting.found and sighting.t_ns >= self.pointing.steady_from_ns:
-            memory.seen = sighting
+            memory.saw(sighting)
         if (
             self._roam is not None
             and sighting.target == self._roam.target
@@ -228,7 +232,7 @@ class Seek(Revertible):
     def _aim(self, goal_us: tuple[int, int], now_ns: int) -> None:
         if goal_us != self.pointing.goal_us:
             for memory in self._memory.values():
-                memory.seen = None  # its pixel belongs to the old direction
+                memory.saw(None)  # its pixel belongs to the old direction
             self.pointing.aim(goal_us, now_ns)
 
 

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import NamedTuple
 
 from msgspec import UNSET
@@ -13,6 +15,7 @@ from agent.core.codec import decode
 from agent.core.config import ConfigError
 from agent.core.messages import Explain, LampState, LogLine, State
 from agent.core.step_io import Outputs, SweepOutcome
+from agent.robot.arbiter import PRIORITIES
 from replay.check.reexecute import STEP_BYTES, open_box
 from replay.files.mcap_walk import suspecting
 
@@ -46,6 +49,14 @@ class Moment(NamedTuple):
     before: State | None  # of the iteration before
     log: tuple[LogLine, ...]
     sweeps: tuple[SweepOutcome, ...] = ()  # that ended since then
+    held: Mapping[str, Held] = MappingProxyType({})  # who has what, by resource
+
+
+class Held(NamedTuple):
+    """A resource of the robot."""
+
+    holder: str  # a row of the table of priorities
+    since_s: float  # since the first step
 
 
 def explain(path: Path, at: str | None = None) -> str:
@@ -92,6 +103,7 @@ def find(path: Path, at: str | None, target: str | None = None) -> Moment | None
     found: Moment | None = None
     log: list[LogLine] = []
     sweeps: list[SweepOutcome] = []
+    held: dict[str, Held] = {}
     for step in box.steps():
         start_ns = start_ns or step.now_ns
         seconds = (step.now_ns - start_ns) * 1e-9
@@ -101,6 +113,7 @@ def find(path: Path, at: str | None, target: str | None = None) -> Moment | None
             continue
         outputs = decode(step.outputs, Outputs, limit=STEP_BYTES)
         log += [line for line in outputs.log if not line.text.startswith(others)]
+        held |= {grant.resource: Held(grant.holder, seconds) for grant in outputs.grants or ()}
         if outputs.outcome is not UNSET and outputs.outcome.target == target:
             sweeps.append(outputs.outcome)
         state = outputs.state
@@ -108,7 +121,8 @@ def find(path: Path, at: str | None, target: str | None = None) -> Moment | None
             continue
         if wanted.over(state.t, step.number, seconds):
             break
-        found = Moment(step.number, seconds, state, found.state if found else None, tuple(log), tuple(sweeps))
+        before = found.state if found else None
+        found = Moment(step.number, seconds, state, before, tuple(log), tuple(sweeps), dict(held))
         log, sweeps = [], []
     else:
         if found is not None and at is not None and wanted.after(found.state.t, step.number, seconds):
@@ -175,6 +189,7 @@ def sentences(moment: Moment) -> list[str]:
         lines.append(f"What it does: {state.behaviour}.")
     if state.lamp is not UNSET:
         lines.append(f"{_lamp(state.robot, state.lamp)}.")
+    lines += [_held(resource, held) for resource, held in moment.held.items()]
     lines += [f"Fault: {fault}." for fault in state.faults]
     lines += [f"Refused so far: {count} x {kind}." for kind, count in state.refused.items()]
     lines += [f"log, {line.level}: {line.text}" for line in moment.log]
@@ -208,6 +223,12 @@ def _lamp(robot: str, lamp: LampState) -> str:
         return f"{own}, by lease {lamp.lease} of {lamp.holder}, for which {lamps} light"
     what = "asks" if lamp.phase == "asks" else "has the light"
     return f"{own}; by its own lease {lamp.lease} it {what}, of {lamps}"
+
+
+def _held(resource: str, held: Held) -> str:
+    """Who has a resource, since when, and why."""
+    why = next((row.why for row in PRIORITIES if (row.resource, row.holder) == (resource, held.holder)), "")
+    return f"{resource.capitalize()}: {held.holder}, since {held.since_s:.2f} s{f', for {why}' if why else ''}."
 
 
 def _knows(state: State) -> str:

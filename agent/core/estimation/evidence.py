@@ -107,7 +107,7 @@ class Evidence(Revertible):
 
     def trust(self, keys: Mapping[str, bytes]) -> None:
         """Take over public keys. A robot that lost or changed its key is believed no more, from this moment."""
-        before, self._authority.keys = self._authority.keys, dict(keys)
+        before = self._authority.replace_keys(keys)
         known = self._me.bounds.origins if before is None else before.keys()
         if gone := {name for name in known if before is None or before[name] != keys.get(name)}:
             self._mode.distrust(gone)
