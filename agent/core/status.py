@@ -11,9 +11,9 @@ from agent.core.attitude import AttitudeLog
 from agent.core.estimation.interface import Mailbox
 from agent.core.messages import MAX_TEXT, Level, LogLine, NeighbourState, State, Symmetric
 from agent.core.ranging.fix import Fix, NoRange
+from agent.core.ranging.sweep import Measurement, Rejected
 from agent.core.step_io import Inputs, SweepOutcome
 from agent.core.step_transaction import Revertible
-from agent.core.sweep import Measurement, Rejected
 from agent.core.target_state import TargetState
 
 FAILSAFE = "failsafe level"

@@ -35,8 +35,8 @@ from agent.core.ranging.camera_model import (
     to_camera,
 )
 from agent.core.ranging.fix import NoRange, distance, locate
+from agent.core.ranging.sweep import Measurement, Sweep
 from agent.core.step_io import SetPoint, Sighting, Telemetry
-from agent.core.sweep import Measurement, Sweep
 from agent.experiments.experiment import DEFAULT_SENSOR, Row
 from agent.perception.clarity import around
 from agent.perception.detection.detectors import load_detectors

@@ -12,12 +12,12 @@ from agent.core.attitude import Attitude
 from agent.core.capability import CameraAct, CameraView, LightView, SearchView, Situation
 from agent.core.config import Fleet, Pose, Robot
 from agent.core.messages import Vector
-from agent.core.pointing import Pointing, Search, off_centre_px, reachable
 from agent.core.ranging.camera_model import Calibration, Eye, camera_pose, gimbal_deg, look_at, ray, servos_us, to_world
-from agent.core.search_pattern import Roam, SearchPlan
+from agent.core.ranging.pointing import Pointing, Search, off_centre_px, reachable
+from agent.core.ranging.search_pattern import Roam, SearchPlan
+from agent.core.ranging.sweep import ByLight, Measurement, Rejected, Sweep
 from agent.core.step_io import Sighting, SweepPlan, Telemetry
 from agent.core.step_transaction import Revertible
-from agent.core.sweep import ByLight, Measurement, Rejected, Sweep
 
 CENTRED = 0.09  # share of the image width: nearer to the middle than this, the gimbal stays still
 IN_VIEW_NS = 600_000_000  # two frames between sweeps

@@ -31,10 +31,10 @@ from agent.core.estimation.protocols import iteration_ns
 from agent.core.messages import Estimate, Level, Mode, State
 from agent.core.ranging.camera_model import Eye
 from agent.core.ranging.fix import EXACT, Fix, NoRange, OwnPose, locate
+from agent.core.ranging.sweep import Measurement, Rejected
 from agent.core.status import Status, sweep_outcome
 from agent.core.step_io import SweepOutcome
 from agent.core.step_transaction import Net, Revertible
-from agent.core.sweep import Measurement, Rejected
 from agent.core.target_state import TargetState
 from agent.core.topics import next_due_ns
 from agent.robot.target_search import Seek, TargetScheduler

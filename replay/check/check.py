@@ -34,6 +34,7 @@ from replay.check.reexecute import (
     StepsDone,
     open_boxes,
     reexecute,
+    says_grants,
     take,
 )
 from replay.files.channels import STEP_OUT, Entry
@@ -408,7 +409,7 @@ def update_recordings(paths: Iterable[Path], reason: str) -> list[Updated]:
             result = reexecute(box)
             if result.verdict == "cannot check":
                 raise ConfigError(f"{box.path}: {result.notes[-1] if result.notes else 'has no steps'}")
-            if result.verdict != "identical":
+            if result.verdict != "identical" or not says_grants(box):
                 updated.append(_rewrite(box, reason.strip()))
     return updated
 

@@ -98,10 +98,11 @@ def opened(outputs: Any) -> Any:
     """Outputs of a step with what neighbours are told by its topic, message by message, as older recordings have it."""
     if not isinstance(outputs, dict):
         return outputs
-    fields = {OLDER.get(name, name): held for name, held in outputs.items() if name != "outgoing"}
+    told: dict[str, list[Any]] = {OLDER[name]: list(outputs[name]) for name in OLDER if name in outputs}
     for said in outputs.get("outgoing", ()):
-        fields.setdefault(said["topic"], []).append(msgpack.unpackb(said["payload"]))
-    return dict(sorted(fields.items()))
+        told.setdefault(said["topic"], []).append(msgpack.unpackb(said["payload"]))
+    kept = {name: held for name, held in outputs.items() if name not in OLDER and name != "outgoing"}
+    return kept | dict(sorted(told.items()))
 
 
 def _walk(recorded: Any, replayed: Any, path: str) -> Iterator[Difference]:

@@ -330,7 +330,7 @@ class Tally:
         self.fields: dict[str, FieldCount] = {}
         self.ignored: Counter[str] = Counter()
         self._within = False  # some float differed by less than the tolerance
-        self._grants = True  # recorded; robots of before did not say who has what
+        self._grants = True  # it was recorded who has what
 
     @property
     def verdict(self) -> Verdict:
@@ -386,6 +386,12 @@ def unreadable(box: BlackBox, step: Step, why: str) -> Reexecution:
     return Reexecution(box, "cannot check", 0, 0.0, None, {}, {}, (*environment_notes(box), refused), "")
 
 
+def says_grants(box: BlackBox) -> bool:
+    """Whether it was recorded who has camera, body and lamp: in the first step all is granted."""
+    first = next((step.outputs for step in box.steps() if step.outputs is not None), b"grants")
+    return b"grants" in first
+
+
 def other_cpu(box: BlackBox) -> bool:
     """Whether it was recorded on a CPU that may round differently; unknown counts as the same."""
     here = environment()
@@ -402,6 +408,9 @@ def environment_notes(box: BlackBox) -> list[str]:
     ]
     notes = [f"recorded elsewhere: {', '.join(changed)}"] if changed else []
     notes += [older] if (older := note(box.schema)) is not None else []
+    notes += (
+        [] if says_grants(box) else ["recorded before robots said who has camera, body and lamp: compared but for it"]
+    )
     if other_cpu(box):
         notes.append(f"another class of CPU: floats may differ by {TOLERANCE:g}, relative or absolute")
     return notes

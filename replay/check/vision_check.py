@@ -26,8 +26,8 @@ from agent.core.config import Fleet
 from agent.core.messages import State
 from agent.core.ranging.camera_model import CameraFit, Eye, camera_pose
 from agent.core.ranging.fix import CENTRE_NOISE_PX, EDGE_BIAS_PX, Fix, NoRange, locate
+from agent.core.ranging.sweep import Measurement, Rejected, peak_of, usable
 from agent.core.step_io import Outputs, Sighting, SweepOutcome
-from agent.core.sweep import Measurement, Rejected, peak_of, usable
 from replay.check.reexecute import STEP_BYTES, BlackBox, open_boxes
 from replay.files.channels import VISION
 from replay.files.frames import Frames, pixels

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from agent.core.pointing import (
+from agent.core.ranging.pointing import (
     HIGHEST_US,
     KEEP_NS,
     LAG_SIGMA_S,

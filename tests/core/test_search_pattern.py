@@ -5,7 +5,7 @@ import pytest
 
 from agent.core.capability import CameraAct, LightView
 from agent.core.config import Body
-from agent.core.search_pattern import FRAMES, Roam, SearchPlan, all_around, spiral, view_deg
+from agent.core.ranging.search_pattern import FRAMES, Roam, SearchPlan, all_around, spiral, view_deg
 from agent.core.step_io import Sighting
 from agent.robot.target_search import Seek
 from tests.capabilities.swim.swimming_agent import CALIBRATION, CAMERA, fleet

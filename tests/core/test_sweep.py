@@ -5,8 +5,7 @@ import itertools
 import pytest
 from msgspec.structs import replace
 
-from agent.core.step_io import Sighting, Telemetry
-from agent.core.sweep import (
+from agent.core.ranging.sweep import (
     TRACK_STEPS,
     Measurement,
     Rejected,
@@ -15,6 +14,7 @@ from agent.core.sweep import (
     home_position,
     short_of_infinity,
 )
+from agent.core.step_io import Sighting, Telemetry
 from tests.known_lens import PLAIN
 
 FIT = replace(PLAIN, u_inf_m=0.0, covariance=(0.0,) * 6, noise=1.0, lowest=200)

@@ -12,7 +12,7 @@ from rich.console import Console
 from agent.core.config import Body, ConfigError, read_toml
 from agent.core.ranging.camera_model import Calibration, CameraFit
 from agent.core.ranging.focus import h
-from agent.core.sweep import full_positions
+from agent.core.ranging.sweep import full_positions
 from agent.process.command import Failed, plain_console
 from agent.tools import focus_calibration
 from agent.tools.bench_calibration import describe

@@ -29,9 +29,9 @@ from agent.core.capability import Situation
 from agent.core.capability_messages import LampNow, Why
 from agent.core.config import Body, Fleet, Lighting, Pose, Target
 from agent.core.messages import Vector
-from agent.core.pointing import HIGHEST_US, LOWEST_US, SLEW_US_PER_S
 from agent.core.ranging.camera_model import Calibration, Eye, camera_pose, look_at
 from agent.core.ranging.focus import lens_position
+from agent.core.ranging.pointing import HIGHEST_US, LOWEST_US, SLEW_US_PER_S
 from agent.core.step_io import Telemetry
 
 # --- information of a focus sweep ---

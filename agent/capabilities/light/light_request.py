@@ -13,9 +13,9 @@ from agent.core.capability import Situation, eye_of
 from agent.core.capability_messages import MOST_HOLDS_S, MOST_WAITED, Lease
 from agent.core.config import Fleet, Lighting, Pose, Target
 from agent.core.messages import Vector
-from agent.core.pointing import SEARCH_DEG
 from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, camera_pose, ray, to_world
 from agent.core.ranging.focus import lens_position
+from agent.core.ranging.pointing import SEARCH_DEG
 from agent.core.step_transaction import Revertible
 
 PATIENCE_NS = 6_000_000_000  # with a neighbour that looks for landmarks, and goes on and on

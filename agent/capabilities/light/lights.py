@@ -36,8 +36,8 @@ from agent.core.config import Cues, Target
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Eye
 from agent.core.ranging.fix import Outline
+from agent.core.ranging.sweep import ByLight, Measurement
 from agent.core.step_io import Heard, SweepOutcome
-from agent.core.sweep import ByLight, Measurement
 from agent.core.topics import LIGHT, Topic
 from agent.core.verbs import Args, Burn, Resume, within
 

@@ -64,12 +64,12 @@ from agent.core.config import Fleet, Pose
 from agent.core.config import Survey as SurveyBehaviour
 from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
-from agent.core.pointing import reachable
 from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, at_lens_position, servos_us, to_world
 from agent.core.ranging.focus import at_tilt, h, lens_position, phase_sigma, range_variance
+from agent.core.ranging.pointing import reachable
+from agent.core.ranging.sweep import full_positions, home_position
 from agent.core.step_io import BlockPeaks, Heard, Inputs, SweepPlan
 from agent.core.step_transaction import Revertible
-from agent.core.sweep import full_positions, home_position
 from agent.core.topics import CLAIM, KEYFRAME, Topic
 
 # --- keyframe of a sweep ---

@@ -37,9 +37,9 @@ from agent.core.config import Body, Fleet
 from agent.core.estimation.interface import Posterior, Prior
 from agent.core.linear_algebra import minus, plus, times
 from agent.core.messages import Vector, Whereabouts
-from agent.core.pointing import APPROACH_NS, LAG_NS, PLAY_US, ServoPath, Stand
 from agent.core.ranging.camera_model import BodyFit, Calibration, CameraFit, gimbal_deg
 from agent.core.ranging.fix import MEMORY_S, Fix, OwnPose, carried, kappa, longest_gap_s
+from agent.core.ranging.pointing import APPROACH_NS, LAG_NS, PLAY_US, ServoPath, Stand
 from agent.core.step_io import Flow, SeenTags, Telemetry
 from agent.core.step_transaction import Revertible
 

@@ -24,8 +24,8 @@ from agent.core.config import Fleet, Lighting, Pose, WaterOptics
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Calibration
 from agent.core.ranging.focus import h
+from agent.core.ranging.sweep import full_positions
 from agent.core.step_io import SweepPlan
-from agent.core.sweep import full_positions
 from agent.experiments.ball_measurements import PosedRobot
 from agent.perception.depth_sweep import BlockSweep
 from agent.process.command import fleet_file

@@ -5,7 +5,7 @@ import pytest
 from agent.capabilities.light.model import SCATTERS, WANDERS_PX
 from agent.core.ranging.camera_model import Eye, camera_pose
 from agent.core.ranging.fix import CENTRE_NOISE_PX, Outline
-from agent.core.sweep import Measurement
+from agent.core.ranging.sweep import Measurement
 from agent.robot.step import Agent
 from tests.capabilities.light.lit_swarm import lit_fleet
 from tests.network.scripted_agent import CALIBRATION

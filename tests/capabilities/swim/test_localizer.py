@@ -26,8 +26,8 @@ from agent.capabilities.swim.localizer import (
 from agent.capabilities.swim.pose_filter import BIAS, Drift, Hull, begin, predict
 from agent.core.attitude import Attitude
 from agent.core.config import Body, Camera, Navigation
-from agent.core.pointing import APPROACH_NS, PLAY_US, Pointing
 from agent.core.ranging.camera_model import servos_us
+from agent.core.ranging.pointing import APPROACH_NS, PLAY_US, Pointing
 from agent.core.step_io import SeenTags
 from tests.capabilities.swim.swimming_agent import CALIBRATION, CAMERA, InTank, fleet
 from tests.capabilities.swim.tank_with_tags import sight

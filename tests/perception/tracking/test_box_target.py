@@ -11,7 +11,7 @@ from agent.clock.clock import StandingClock
 from agent.core.config import ConfigError, Fleet, Pose, Robot, Target
 from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, FocusFit
 from agent.core.ranging.fix import BOX_NOISE, locate
-from agent.core.sweep import Measurement, Sweep
+from agent.core.ranging.sweep import Measurement, Sweep
 from agent.experiments.still_camera import StillCamera, TankView
 from agent.perception.clarity import around, box_clarity, tenengrad_blocks
 from agent.perception.detection.detectors import load_detectors

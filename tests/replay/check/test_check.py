@@ -250,9 +250,9 @@ def test_a_kernel_that_raises_is_a_difference(tmp_path: Path, monkeypatch: pytes
 
 
 def test_what_the_kernel_s_net_catches_is_a_difference_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    from agent.robot.step import Agent
+    from agent.robot.targets import Targets
 
-    monkeypatch.setattr(Agent, "_measure", lambda self, now_ns: 1 // 0)
+    monkeypatch.setattr(Targets, "measure", lambda self, now_ns: 1 // 0)
     checked = check([R1])
     assert checked.exit_code == 1
     assert checked.first.step == 0
@@ -311,7 +311,7 @@ def run(tmp_path: Path) -> Path:
 
 
 def test_outputs_are_replaced_and_inputs_kept(run: Path, git: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("agent.core.sweep.TRACK_SPAN", 1.6)
+    monkeypatch.setattr("agent.core.ranging.sweep.TRACK_SPAN", 1.6)
     assert check([run]).exit_code == 1
     accepted = [text] if (text := info(run / "r1.mcap").run.get("accepted")) else []
     before = {record.sequence: record.data for record in read(run / "r1.mcap") if record.channel == "/raw/step_in"}

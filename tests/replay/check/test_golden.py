@@ -121,10 +121,10 @@ MUTATIONS = {
     "agent.robot.targets.LATEST_ITERATION": 1.4,
     "agent.robot.targets.STATE_NS": 250_000_000,
     "agent.robot.target_search.CENTRED": 1.0,
-    "agent.core.sweep.TRACK_SPAN": 1.6,
-    "agent.core.pointing.SETTLE_NS": 10**6,
+    "agent.core.ranging.sweep.TRACK_SPAN": 1.6,
+    "agent.core.ranging.pointing.SETTLE_NS": 10**6,
     "agent.core.estimation.fuse.AGREE": 1e6,
-    "agent.core.sweep.HOME": 0.7,
+    "agent.core.ranging.sweep.HOME": 0.7,
     "agent.core.status.NO_FRAMES_NS": 10**7,
 }
 
