@@ -1,5 +1,6 @@
 """Order of the house: how large files are, how many there are, and that imports run one way."""
 
+import ast
 import graphlib
 import re
 import tomllib
@@ -44,6 +45,27 @@ def test_a_small_file_has_a_reason() -> None:
         if count < SMALL_LINES and not name.endswith("__init__.py") and not name.startswith(BOARD)
     }
     assert small == set(SMALL)
+
+
+KERNEL = ("agent/core", "agent/capabilities", "agent/robot")
+
+
+def test_no_object_of_the_kernel_writes_into_another() -> None:
+    """An attribute is assigned or deleted through `self` alone."""
+    found = []
+    for path in (path for room in KERNEL for path in sorted((ROOT / room).rglob("*.py"))):
+        for node in ast.walk(ast.parse(path.read_text())):
+            if isinstance(node, ast.Attribute) and isinstance(node.ctx, ast.Store | ast.Del):
+                own = isinstance(node.value, ast.Name) and node.value.id == "self"
+                found += [] if own else [f"{path.relative_to(ROOT)}:{node.lineno}: {ast.unparse(node)}"]
+    assert not found
+
+
+def test_the_step_knows_no_capability_by_name() -> None:
+    """It knows the protocols of core, and what a robot has beside capabilities; and it is short."""
+    lines = (ROOT / "agent/robot/step.py").read_text().splitlines()
+    assert len(lines) <= 150
+    assert not [line for line in lines if "agent.capabilities" in line]
 
 
 def test_no_files_import_each_other_in_a_circle() -> None:

@@ -132,6 +132,26 @@ def snapshot(
         typer.echo(target_table(robots, target, path, image))
 
 
+Page = StrEnum("Page", ["priorities"])  # of what `aucamp explain` explains
+
+
+@app.command(epilog="Example: aucamp explain priorities")
+def explain(
+    what: Annotated[Page, typer.Argument(help="priorities: who gets camera, body and lamp in a step.")],
+) -> None:
+    """How a robot decides."""
+    from rich.box import SIMPLE
+    from rich.console import Console
+    from rich.table import Table
+
+    from agent.robot.arbiter import table
+
+    shown = Table("resource", "who", "in a sweep of", "while another has the light", "takes it when", box=SIMPLE)
+    for row in table():
+        shown.add_row(*row)
+    Console().print(shown)
+
+
 @app.command(epilog="Example: aucamp schemas --out schemas")
 def schemas(
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write into: new, or empty.")],

@@ -5,6 +5,7 @@ targets, which one the camera looks at.
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import Literal
 
 from msgspec.structs import replace
 
@@ -40,6 +41,15 @@ class TargetMemory(Revertible):
         return self.seen is not None and now_ns - self.seen.t_ns < IN_VIEW_NS
 
 
+CameraPhase = Literal["there", "away"]  # the gimbal's goal is the target's, or another holder's of the camera
+CameraEvent = Literal["granted", "turned"]
+
+
+def next_phase(phase: CameraPhase, event: CameraEvent) -> CameraPhase:
+    """The camera was granted to the target, or another holder of it has turned the gimbal."""
+    return "there" if event == "granted" else "away"
+
+
 class Seek(Revertible):
     """Gimbal and lens of one robot. They serve one target at a time; `act` is told which."""
 
@@ -49,7 +59,7 @@ class Seek(Revertible):
         self._roam: Roam | None = None  # of a robot that searches
         self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
         self._target = next(iter(fleet.target))  # the one that gimbal and lens serve
-        self._elsewhere = False  # the gimbal was turned away from it, on purpose
+        self._phase: CameraPhase = "there"
         self._lit_seen_m: Vector | None = None  # the lit place that the gimbal was turned to
         self._view_sweep = False  # a sweep over whole frames is under way, of no target
         self._look_us = self._pulses_us(robot.look.pan_deg, robot.look.tilt_deg)
@@ -85,7 +95,7 @@ class Seek(Revertible):
             target=self._target,
             seen=memory.seen,
             in_view=in_view,
-            ready=not self._elsewhere and not self.measuring and memory.sweep.ready(now_ns),
+            ready=self._phase == "there" and not self.measuring and memory.sweep.ready(now_ns),
             most_sweep_ns=memory.sweep.most_ns,
             search=None if roam is None else SearchView(roam.target, roam.found, roam.spirals),
         )
@@ -135,8 +145,8 @@ class Seek(Revertible):
         a sweep. A sweep that runs has to end before another target may be watched. wanted: by which light, or at all.
         """
         now_ns, target = situation.now_ns, situation.watched
-        memory, another = self._memory[target], target != self._target or self._elsewhere
-        self._target, self._elsewhere = target, False
+        memory, another = self._memory[target], target != self._target or self._phase == "away"
+        self._target, self._phase = target, next_phase(self._phase, "granted")
         if self.pointing.goal_us is None:
             self._aim(self._look_us, now_ns)
         if memory.sweep.running:
@@ -167,7 +177,7 @@ class Seek(Revertible):
         target of that is tracked."""
         if act.aim_deg is not None:
             goal_us = self._pulses_us(*act.aim_deg)
-            self._elsewhere = act.target is None
+            self._phase = next_phase(self._phase, "turned" if act.target is None else "granted")
             self._target = act.target or self._target
             if act.mode == "track":
                 self.pointing.track(goal_us, now_ns)

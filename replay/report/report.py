@@ -12,6 +12,7 @@ from pathlib import Path
 import jinja2
 from matplotlib.figure import Figure
 
+from agent.robot.arbiter import PRIORITIES
 from replay.files.info import pace
 from replay.files.log import read
 from replay.files.mcap_walk import suspecting
@@ -21,7 +22,7 @@ from replay.report import (
 )
 from replay.report.creature_track import creature_track, followed_table, lost_table
 from replay.report.lead import lead
-from replay.report.page import PAGE, Section, svg
+from replay.report.page import PAGE, Row, Section, Table, svg
 from replay.report.timeline import Run, Surveyed, open_run, surveyed
 from replay.viewers.viewer_channels import MeasureDepth, whole_sweeps
 
@@ -128,6 +129,7 @@ def _sections(run: Run, survey: Surveyed | None, depth: MeasureDepth | None) -> 
         ),
         *_following(run),
         *_surveying(run, survey),
+        *_camera(run),
         *_light(run),
         Section(
             "agreement",
@@ -210,6 +212,19 @@ def _axis_by_axis(run: Run) -> Iterator[Section]:
             "How far single measurements, and what robots made of them together, were off the truth along each axis."
         )
         yield Section("axes", "Errors, axis by axis", about, [table], [])
+
+
+def _camera(run: Run) -> Iterator[Section]:
+    """Of robots whose cameras do more than look at targets."""
+    if (figure := report_tables.camera_lanes(run.timelines)) is not None:
+        rows: list[Row] = [[row.holder, row.why] for row in PRIORITIES if row.resource == "camera"]
+        yield Section(
+            "camera",
+            "Who had the camera",
+            "A lane for each robot: which row of the table of priorities had its camera, and with it the lens.",
+            [Table("Rows of the table, highest first.", [["who", "takes the camera when"], *rows])],
+            [svg(figure)],
+        )
 
 
 def _light(run: Run) -> Iterator[Section]:

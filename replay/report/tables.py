@@ -18,6 +18,7 @@ from msgspec import UNSET
 from agent.core.messages import Symmetric, Vector
 from agent.core.robot_view import AXES
 from agent.core.step_io import SweepOutcome
+from agent.robot.arbiter import PRIORITIES
 from replay.report import figures
 from replay.report.figures import VARIANCES
 from replay.report.lead import ORDERED, OVER, End, ends, truth_of
@@ -310,6 +311,30 @@ def sweeps(timelines: Sequence[RobotTimeline]) -> Table | None:
         "measured was thrown away. Peak: median of the standard deviation that the fits state, in lens positions.",
         rows,
     )
+
+
+def camera_lanes(timelines: Sequence[RobotTimeline]) -> Figure | None:
+    """A lane for each robot: who had its camera when, by rows of the table of priorities. None where nobody but the
+    target had one, or nobody said."""
+    first = {timeline.robot: timeline for timeline in reversed(timelines)}  # grants are of a robot, not of its targets
+    held = {
+        name: [(t_s, grant.holder) for t_s, grant in each.grants if grant.resource == "camera"]
+        for name, each in sorted(first.items())
+    }
+    holders = [row.holder for row in PRIORITIES if row.resource == "camera"]
+    used = [holder for holder in holders if any(holder == which for spans in held.values() for _, which in spans)]
+    if set(used) <= {"target"}:
+        return None
+    figure = Figure(figsize=(9.0, 0.7 + 0.45 * len(held)), layout="constrained")
+    panel = figure.subplots()
+    for row, (name, spans) in enumerate(held.items()):
+        for (t_s, holder), (until_s, _) in itertools.pairwise([*spans, (first[name].ends_s, "")]):
+            colour = f"C{holders.index(holder)}" if holder in holders else FREE
+            panel.barh(row, until_s - t_s, left=t_s, height=0.7, color=colour)
+    panel.set(yticks=range(len(held)), yticklabels=list(held), xlabel="s", ylim=(len(held) - 0.5, -0.5))
+    handles = [Patch(color=f"C{holders.index(holder)}", label=holder) for holder in used]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize="small", frameon=False)
+    return figure
 
 
 def lanes(timelines: Sequence[RobotTimeline]) -> Figure:

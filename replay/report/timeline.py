@@ -24,7 +24,7 @@ from agent.core.codec import READABLE, Refusal, decode
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Answer, Estimate, LogLine, State, Symmetric, Vector
 from agent.core.robot_view import in_own_name
-from agent.core.step_io import Inputs, Outputs, Sighting, SweepOutcome
+from agent.core.step_io import Grant, Inputs, Outputs, Sighting, SweepOutcome
 from agent.core.topics import CLAIM, KEYFRAME
 from agent.robot.fleet_reader import load_fleet
 from replay.check.check import Link, links
@@ -104,6 +104,7 @@ class RobotTimeline(NamedTuple):
     set_depth_m: tuple[tuple[float, float], ...]  # (t_s, depth) where the set-point changed
     log: tuple[tuple[float, LogLine], ...]
     answers: tuple[tuple[float, Answer], ...]  # to what people ordered
+    grants: tuple[tuple[float, Grant], ...] = ()  # who got camera, body and lamp, and when
 
     @property
     def held(self) -> list[tuple[Belief, Vector]]:
@@ -201,6 +202,7 @@ class _Gathered:
         self.ends_s = 0.0
         self.log: list[tuple[float, LogLine]] = []
         self.answers: list[tuple[float, Answer]] = []
+        self._grants: list[tuple[float, Grant]] = []
         self._sweeps: list[LoggedSweep] = []
         self._set_depth_m: list[tuple[float, float]] = []
         self._postures: list[tuple[float, ...]] = []
@@ -229,6 +231,7 @@ class _Gathered:
                 set_depth_m=tuple(self._set_depth_m),
                 log=tuple(self.log),
                 answers=tuple(self.answers),
+                grants=tuple(self._grants),
             )
             for target in fleet.target
         ]
@@ -265,6 +268,7 @@ class _Gathered:
     def take_out(self, outputs: Outputs, t_s: float) -> None:
         self.log += [(t_s, line) for line in outputs.log]
         self.answers += [(t_s, answer) for answer in outputs.answers or ()]
+        self._grants += [(t_s, grant) for grant in outputs.grants or ()]
         if not self._set_depth_m or self._set_depth_m[-1][1] != outputs.set_point.depth_m:
             self._set_depth_m.append((t_s, outputs.set_point.depth_m))
         for estimate in outputs.says:

@@ -153,6 +153,25 @@ def _is_at(place_m: Vector, hull_m: Vector) -> bool:
 # --- surveyor ---
 
 Phase = Literal["choose", "go", "look", "sweep", "judge", "done"]  # judge: whether its light stayed
+Event = Literal["far", "near", "known", "there", "swept", "ended", "over"]
+PHASES: dict[tuple[Phase, Event], Phase] = {
+    ("choose", "far"): "go",  # a view is chosen that has to be gone to
+    ("choose", "near"): "look",  # one that is seen from here
+    ("choose", "known"): "done",  # all is known that is asked for
+    ("go", "there"): "look",
+    ("look", "swept"): "sweep",  # a sweep begins
+    ("sweep", "ended"): "judge",  # its blocks are in
+    ("go", "over"): "choose",  # it gives up
+    ("look", "over"): "choose",
+    ("sweep", "over"): "choose",
+    ("judge", "over"): "choose",  # with a keyframe, or without
+}
+
+
+def next_phase(phase: Phase, event: Event) -> Phase:
+    """An event that a phase does not know changes nothing."""
+    return PHASES.get((phase, event), phase)
+
 
 EACH_STEP = 3  # candidates: 3 ms
 GO_NS = 25_000_000_000  # at most, then it looks for another view
@@ -230,10 +249,10 @@ class Surveyor(Revertible):
             return
         self._k, self._draw = 0, self._draw + 1
         if self._best is None or self.over or self._number >= MOST_NUMBER:
-            self._begin("done" if self.over else "choose", now_ns + (0 if self.over else REST_NS))
+            self._begin("known" if self.over else "over", now_ns + (0 if self.over else REST_NS))
             return
         self.chosen = self._best.candidate
-        self._begin("go" if self._swims else "look", now_ns)
+        self._begin("far" if self._swims else "near", now_ns)
 
     def go(self, pose: Pose, still: bool, now_ns: int) -> None:
         """While it is on its way: whether it is there, or gives up."""
@@ -243,7 +262,7 @@ class Surveyor(Revertible):
         off_m = math.dist((pose.x_m, pose.y_m), station.place_m)
         off_rad = abs(wrap(math.radians(pose.yaw_deg) - station.yaw))
         if off_m < NEAR_M and off_rad < NEAR_RAD and still:
-            self._begin("look", now_ns)
+            self._begin("there", now_ns)
         elif now_ns - self._since_ns > GO_NS:
             self.give_up(now_ns)
 
@@ -278,7 +297,7 @@ class Surveyor(Revertible):
         fit = self._calibration.focus
         positions = full_positions(fit, self._fleet.camera.sweep_steps)
         self._sweeps += 1
-        self._begin("sweep", now_ns)
+        self._begin("swept", now_ns)
         self._until_ns = now_ns + SLACK_NS + len(positions) * STEP_NS
         focus = (home_position(positions, fit), *positions)
         return SweepPlan(sweep=self._sweeps, focus=focus, block_px=block_px(self._calibration.camera))
@@ -295,7 +314,7 @@ class Surveyor(Revertible):
 
     def judge(self) -> None:
         """Its sweep is over, and counts unless its light changed."""
-        self.phase = "judge"
+        self.phase = next_phase(self.phase, "ended")
 
     @property
     def sweeps(self) -> bool:
@@ -316,15 +335,15 @@ class Surveyor(Revertible):
 
     def give_up(self, now_ns: int) -> None:
         """Choose another view."""
-        self._begin("choose", now_ns)
+        self._begin("over", now_ns)
 
     @property
     def keyframes(self) -> int:
         """Made by itself."""
         return self._number
 
-    def _begin(self, phase: Phase, now_ns: int) -> None:
-        self.phase, self._since_ns, self._gimbal_deg = phase, now_ns, None
+    def _begin(self, event: Event, now_ns: int) -> None:
+        self.phase, self._since_ns, self._gimbal_deg = next_phase(self.phase, event), now_ns, None
 
     @property
     def _swims(self) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from msgspec.structs import replace
 
@@ -208,6 +208,9 @@ def _reach_deg(target: TargetEstimate, speed_m_s: float, pose: Pose, now_ns: int
 #     halted     it was under way when the module stopped to obey, and may go on at once
 
 
+DISOBEYED: dict[SwimPhase, SwimPhase] = {"under_way": "halted", "ready": "afloat"}
+
+
 class Found(NamedTuple):
     """What a step has found out of its own place."""
 
@@ -216,23 +219,17 @@ class Found(NamedTuple):
     rests: bool  # its camera is where it is to be
 
 
-def after(phase: SwimPhase, what: Found) -> SwimPhase:
-    """Once a step, after estimation."""
+def after(phase: SwimPhase, what: Found | Literal["disobeyed"]) -> SwimPhase:
+    """Once a step, after estimation; and once more where the module does not do what it is told: it is silent, disarmed
+    or surfacing."""
+    if what == "disobeyed":
+        return DISOBEYED.get(phase, phase)
+    assert isinstance(what, Found)
     if not what.located:
         return "lost"
     if phase in ("lost", "afloat", "halted") and not what.foresees:
         return "afloat"
     return "under_way" if what.rests or phase in ("under_way", "halted") else "ready"
-
-
-def disobeyed(phase: SwimPhase) -> SwimPhase:
-    """The module does not do what it is told: it is silent, disarmed or surfacing."""
-    match phase:
-        case "under_way":
-            return "halted"
-        case "ready":
-            return "afloat"
-    return phase
 
 
 def knows_its_way(phase: SwimPhase) -> bool:
@@ -434,7 +431,7 @@ class Swimmer(Revertible):
         """No thrust where the module does not obey, or it is not known where the robot is."""
         here, allowed = self.localizer.at(situation.now_ns), self._attitude.obeys(situation.now_ns)
         if not allowed:
-            self.phase = disobeyed(self.phase)  # one that lies still has to know its motion anew to begin
+            self.phase = after(self.phase, "disobeyed")  # one that lies still has to know its motion anew to begin
         if not situation.light.still or self.here is None:
             self._still = None
         elif self._still is None:

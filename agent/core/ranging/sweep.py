@@ -12,7 +12,7 @@ from __future__ import annotations
 import itertools
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from msgspec.structs import replace
 
@@ -70,6 +70,23 @@ class ByLight(NamedTuple):
     aside: bool  # others' lamps burn: some frames show the lit part of a ball as a ball of its own
 
 
+SweepPhase = Literal["ready", "running", "pausing"]
+SweepEvent = Literal["start", "end", "fail", "rest", "lose"]
+SWEEP_PHASES: dict[tuple[SweepPhase, SweepEvent], SweepPhase] = {
+    ("ready", "start"): "running",
+    ("running", "end"): "ready",  # with a peak, or without one for the first or second time
+    ("running", "fail"): "pausing",  # of full sweeps the third in a row without a peak, and each after it
+    ("pausing", "rest"): "ready",  # the pause is over
+    ("running", "lose"): "ready",  # the target is lost: the next sweep may start at once
+    ("pausing", "lose"): "ready",
+}
+
+
+def next_phase(phase: SweepPhase, event: SweepEvent) -> SweepPhase:
+    """An event that a phase does not know changes nothing."""
+    return SWEEP_PHASES.get((phase, event), phase)
+
+
 class Sweep(Revertible):
     """Plans sweeps and collects their frames. The caller decides when the next may start."""
 
@@ -77,8 +94,10 @@ class Sweep(Revertible):
         self._fit = fit
         self._full_steps = full_steps
         self._number = 0
-        self._plan: SweepPlan | None = None
-        self._deadline_ns = self._rest_until_ns = 0
+        self.phase: SweepPhase = "ready"
+        self._plan: SweepPlan | None = None  # of phase running
+        self._deadline_ns = 0
+        self._rest_until_ns = 0  # of phase pausing
         self._frames: list[Sighting] = []
         self._tilts: list[tuple[float, float]] = []  # roll and pitch since the sweep began, degrees
         self._last: Measurement | None = None  # the peak to track
@@ -91,15 +110,16 @@ class Sweep(Revertible):
 
     @property
     def running(self) -> bool:
-        return self._plan is not None
+        return self.phase == "running"
 
     def ready(self, now_ns: int) -> bool:
         """Whether the next sweep may start."""
-        return not self.running and now_ns >= self._rest_until_ns
+        return not self.running and (self.phase == "ready" or now_ns >= self._rest_until_ns)
 
     def start(self, now_ns: int, by_light: ByLight | None = None) -> SweepPlan:
         """Begin the next sweep: full where there is no peak to track, and no hint where one may be."""
         self._by_light = by_light
+        self.phase = next_phase(next_phase(self.phase, "rest"), "start")
         if self._last is not None:
             half_span = TRACK_SPAN * (WIDER if self._failures else 1.0)
             lens_positions = track_positions(self._last.lens_position, self._last.width, half_span)
@@ -136,6 +156,7 @@ class Sweep(Revertible):
         result = self._result(number) if complete else Rejected(number, "not finished in time", too_long=True)
         self._plan = None
         if isinstance(result, Measurement):
+            self.phase = next_phase(self.phase, "end")
             self._before, self._last, self._failures, self._halvings = self._last, result, 0, 0
         else:
             self._failed(result.too_long, now_ns)
@@ -157,15 +178,16 @@ class Sweep(Revertible):
 
     def forget(self) -> None:
         """The target is lost: the next sweep is a full one, and may start at once."""
-        self._plan, self._last, self._failures = None, None, 0
-        self._halvings = self._rest_until_ns = 0
+        self.phase = next_phase(self.phase, "lose")
+        self._plan, self._last, self._failures, self._halvings = None, None, 0, 0
 
     def _failed(self, too_long: bool, now_ns: int) -> None:
         self._failures += 1
+        pauses = self._last is None and self._failures >= FAILURES_BEFORE_PAUSE
+        self.phase = next_phase(self.phase, "fail" if pauses else "end")
         if self._last is None:
             self._halvings = self._halvings + 1 if too_long else 0
-            if self._failures >= FAILURES_BEFORE_PAUSE:
-                self._rest_until_ns = now_ns + PAUSE_NS
+            self._rest_until_ns = now_ns + PAUSE_NS
         elif self._failures >= FAILURES_BEFORE_FULL:
             self._last, self._failures, self._halvings = None, 0, int(too_long)
 
