@@ -15,7 +15,7 @@ from agent.core.config import Fleet, Pose, Robot
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Calibration, Eye, camera_pose, gimbal_deg, look_at, ray, servos_us, to_world
 from agent.core.ranging.pointing import Pointing, Search, off_centre_px, reachable
-from agent.core.ranging.search_pattern import Roam, SearchPlan
+from agent.core.ranging.search_pattern import SearchPattern, SearchPlan
 from agent.core.ranging.sweep import ByLight, Measurement, Rejected, Sweep
 from agent.core.step_io import Sighting, SweepPlan, Telemetry
 from agent.core.step_transaction import Revertible
@@ -56,7 +56,7 @@ class Seek(Revertible):
     def __init__(self, fleet: Fleet, robot: Robot, calibration: Calibration) -> None:
         self._fleet, self._robot, self._camera = fleet, robot, calibration.camera
         self.pointing = Pointing()
-        self._roam: Roam | None = None  # of a robot that searches
+        self._pattern: SearchPattern | None = None  # of a robot that searches
         self._memory = {target: TargetMemory(fleet, calibration) for target in fleet.target}
         self._target = next(iter(fleet.target))  # the one that gimbal and lens serve
         self._phase: CameraPhase = "there"
@@ -72,9 +72,9 @@ class Seek(Revertible):
     def search(self, plan: SearchPlan | None) -> None:
         """Look by that plan from now on, or go on with it; None: there is no search."""
         if plan is None:
-            self._roam = None
-        elif self._roam is None:
-            self._roam = Roam(*plan)
+            self._pattern = None
+        elif self._pattern is None:
+            self._pattern = SearchPattern(*plan)
 
     def view_sweep(self, runs: bool) -> None:
         """Whether a sweep over whole frames is under way, of no target."""
@@ -82,7 +82,7 @@ class Seek(Revertible):
 
     def view(self, now_ns: int) -> CameraView:
         """Gimbal and lens, as others may know them."""
-        at, memory, roam = self.pointing, self._memory[self._target], self._roam
+        at, memory, pattern = self.pointing, self._memory[self._target], self._pattern
         running, in_view = memory.sweep.running, memory.in_view(now_ns)
         return CameraView(
             goal_us=at.goal_us,
@@ -97,7 +97,7 @@ class Seek(Revertible):
             in_view=in_view,
             ready=self._phase == "there" and not self.measuring and memory.sweep.ready(now_ns),
             most_sweep_ns=memory.sweep.most_ns,
-            search=None if roam is None else SearchView(roam.target, roam.found, roam.spirals),
+            search=None if pattern is None else SearchView(pattern.target, pattern.found, pattern.spirals),
         )
 
     def see(self, told: Iterable[Telemetry], sightings: Iterable[Sighting], light: LightView) -> None:
@@ -116,13 +116,13 @@ class Seek(Revertible):
         if sighting.found and sighting.t_ns >= self.pointing.steady_from_ns:
             memory.saw(sighting)
         if (
-            self._roam is not None
-            and sighting.target == self._roam.target
+            self._pattern is not None
+            and sighting.target == self._pattern.target
             and sighting.t_ns >= self.pointing.nearly_from_ns
             and light.from_ns is not None
             and sighting.t_ns >= light.from_ns
         ):
-            self._roam.add_frame(sighting.found)
+            self._pattern.add_frame(sighting.found)
 
     def add_telemetry(self, telemetry: Telemetry) -> None:
         """Take note of how still the robot is."""
@@ -151,8 +151,13 @@ class Seek(Revertible):
             self._aim(self._look_us, now_ns)
         if memory.sweep.running:
             return None
-        if self._roam is not None and self._roam.target == target and self._roam.empty and not memory.in_view(now_ns):
-            self._roam.advance()
+        if (
+            self._pattern is not None
+            and self._pattern.target == target
+            and self._pattern.empty
+            and not memory.in_view(now_ns)
+        ):
+            self._pattern.advance()
             another = True
         if self._goes_to_light(memory, situation) or not (another or self.pointing.steady(now_ns)):
             return None
@@ -217,19 +222,19 @@ class Seek(Revertible):
 
     def _look_around(self, search: Search, situation: Situation) -> None:
         told_m, now_ns = situation.target.believed_m, situation.now_ns
-        if self._roam is not None and self._roam.target == self._target:
-            self._look_on(self._roam, situation)
+        if self._pattern is not None and self._pattern.target == self._target:
+            self._look_on(self._pattern, situation)
         elif told_m is None:
             self._aim(self._look_us, now_ns)
         else:
             self._turn_to_point(told_m, situation, search.offset_deg(self.pointing.steady(now_ns), now_ns))
 
-    def _look_on(self, roam: Roam, situation: Situation) -> None:
-        offset, told_m = roam.offset_deg, situation.target.believed_m
+    def _look_on(self, pattern: SearchPattern, situation: Situation) -> None:
+        offset, told_m = pattern.offset_deg, situation.target.believed_m
         if offset is not None and told_m is not None:
             self._turn_to_point(told_m, situation, offset)
         else:
-            self._aim(self._pulses_us(*roam.way_deg), situation.now_ns)
+            self._aim(self._pulses_us(*pattern.way_deg), situation.now_ns)
 
     def _turn_to_point(self, point: Vector, situation: Situation, offset_deg: tuple[float, float]) -> None:
         level, surface_m = self._level(situation), self._fleet.tank.surface_m

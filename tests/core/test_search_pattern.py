@@ -5,7 +5,7 @@ import pytest
 
 from agent.core.capability import CameraAct, LightView
 from agent.core.config import Body
-from agent.core.ranging.search_pattern import FRAMES, Roam, SearchPlan, all_around, spiral, view_deg
+from agent.core.ranging.search_pattern import FRAMES, SearchPattern, SearchPlan, all_around, spiral, view_deg
 from agent.core.step_io import Sighting
 from agent.robot.target_search import Seek
 from tests.capabilities.swim.swimming_agent import CALIBRATION, CAMERA, fleet
@@ -75,13 +75,13 @@ def test_where_there_is_something_it_stays_and_measures(seek) -> None:
 
 
 def test_after_a_glimpse_it_looks_to_both_sides_once() -> None:
-    roam, order = Roam("ball", (), tuple((float(k), 0.0) for k in range(6))), []
+    pattern, order = SearchPattern("ball", (), tuple((float(k), 0.0) for k in range(6))), []
     for _ in range(9):
-        roam.advance()
-        order.append(round(roam.way_deg[0]))
-        roam.add_frame(order[-1] == 2)
+        pattern.advance()
+        order.append(round(pattern.way_deg[0]))
+        pattern.add_frame(order[-1] == 2)
         for _ in range(FRAMES):
-            roam.add_frame(False)
+            pattern.add_frame(False)
     assert order == [0, 1, 2, 1, 2, 3, 4, 5, 0]
 
 

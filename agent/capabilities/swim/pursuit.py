@@ -126,7 +126,7 @@ def own_part(
 # --- gaze that scans ---
 # It goes round all that the gimbal reaches, without rest: for a target that may be anywhere.
 #
-# Looks with rests between them (search_pattern.Roam) take longer for one round than a fish stays where it is. This one
+# Looks with rests between them (search_pattern.SearchPattern) take longer for one round than a fish stays where it is. This one
 # passes at a rate at which neighbouring frames overlap, to and fro at one tilt after the other: every other time at the
 # middle one, where most swims.
 

@@ -31,7 +31,7 @@ class SearchPlan(NamedTuple):
     around: Ways  # by the gimbal's own angles
 
 
-class Roam(Revertible):
+class SearchPattern(Revertible):
     """How far the looks of one search have come. `Seek` (target_search.py) moves it on."""
 
     def __init__(self, target: str, spiral: Ways, around: Ways) -> None:
