@@ -33,7 +33,7 @@ from agent.core.step_transaction import Net, Revertible
 from agent.robot.arbiter import Arbiter, Equipment
 from agent.robot.inbox import Inbox
 from agent.robot.operator import Operator
-from agent.robot.target_search import Seek
+from agent.robot.target_search import TargetSearch
 from agent.robot.targets import Targets, Telemetry
 
 
@@ -49,15 +49,17 @@ class Agent(Revertible):
         context = Context(fleet, name, calibration, incarnation, self.attitude, self.status.log, DAYLIGHT, MOORED)
         self.equipment = Equipment(context)
         self.capabilities, self._light = self.equipment.by_name, self.equipment.light
-        self.seek = Seek(fleet, self._robot, calibration)
-        self.measuring = Targets(context._replace(light=self._light, source=self.equipment.source), self.seek)
+        self.target_search = TargetSearch(fleet, self._robot, calibration)
+        self.measuring = Targets(context._replace(light=self._light, source=self.equipment.source), self.target_search)
         self.targets = self.measuring.all
         self.inbox = Inbox(self.targets, fleet.tank, common(fleet), schema, self.equipment)
         self.telemetry = Telemetry(self.targets, self.status, self.attitude, self.equipment, self.net)
         self.operator = Operator(fleet, name, incarnation, self.equipment, self.status.log)
         self.arbiter = Arbiter()
         targets = self.measuring.views(None, (), 0)
-        self._situation = Situation(0, None, self._robot.pose, self.seek.view(0), self.measuring.watched, targets)
+        self._situation = Situation(
+            0, None, self._robot.pose, self.target_search.view(0), self.measuring.watched, targets
+        )
 
     def step(self, inputs: Inputs, now_ns: int) -> Outputs:
         """Take in all that arrived since the last step, decide, and say what to do and to send.
@@ -75,11 +77,11 @@ class Agent(Revertible):
         self.measuring.iterate(situation.own, self.equipment, now_ns)
         situation = self._decide(situation)
         camera: CameraAct = self.arbiter.grant("camera", self._proposals(situation), situation)
-        self.seek.carry_out(camera, now_ns)
+        self.target_search.carry_out(camera, now_ns)
         if camera.target is not None:  # that is tracked: by frames, which need no light
             self._light.released(now_ns)
         holder = self.arbiter.held["camera"]
-        situation = situation._replace(camera=self.seek.view(now_ns), camera_holder=holder)
+        situation = situation._replace(camera=self.target_search.view(now_ns), camera_holder=holder)
         lamp: LampAct | None = self.arbiter.grant("lamp", self._proposals(situation), situation)
         situation = self.equipment.settle(situation)
         says = self.measuring.say(situation.orders.send_hz, situation.own and situation.own.pursues, now_ns)
@@ -108,23 +110,23 @@ class Agent(Revertible):
         self.inbox.receive(inputs.heard, inputs.refused, self.status, now_ns)
         self.operator.take(inputs.orders, now_ns)
         self.attitude.extend(inputs.telemetry)
-        self.seek.see(inputs.telemetry, inputs.sightings, self._situation.light)
-        level, camera, orders = self.attitude.now(now_ns), self.seek.view(now_ns), self.operator.overrides
+        self.target_search.see(inputs.telemetry, inputs.sightings, self._situation.light)
+        level, camera, orders = self.attitude.now(now_ns), self.target_search.view(now_ns), self.operator.overrides
         situation = self._situation._replace(now_ns=now_ns, level=level, camera=camera, orders=orders)
         situation = self.equipment.update(inputs, situation)
-        self.seek.view_sweep(situation.view_sweep)
+        self.target_search.view_sweep(situation.view_sweep)
         self.status.devices(inputs, self._faults(now_ns), self.attitude, now_ns)
         return situation
 
     def _decide(self, situation: Situation) -> Situation:
         """What is believed before anything is granted."""
         now_ns = situation.now_ns
-        camera, own = self.seek.view(now_ns), situation.own
+        camera, own = self.target_search.view(now_ns), situation.own
         situation = situation._replace(camera=camera, targets=self.measuring.views(own, (), now_ns))
         situation = self.equipment.decide(situation)
-        self.seek.search(situation.search)
+        self.target_search.search(situation.search)
         self.measuring.take_turns(own and own.pursues)
-        watched, camera = self.measuring.watched, self.seek.view(now_ns)
+        watched, camera = self.measuring.watched, self.target_search.view(now_ns)
         return situation._replace(watched=watched, camera=camera, targets=self.measuring.views(own, (watched,), now_ns))
 
     def _proposals(self, situation: Situation) -> Iterable[Proposal[Any]]:
@@ -142,6 +144,6 @@ class Agent(Revertible):
             depth_m=body.depth_m or situation.orders.depth_m or self._robot.depth_m,
             force_n=body.force_n,
             yaw_moment_nm=body.moment_nm,
-            servos_us=(*self.seek.pointing.servos_us(situation.now_ns), *lamp_us),
+            servos_us=(*self.target_search.pointing.servos_us(situation.now_ns), *lamp_us),
             light=light,
         )

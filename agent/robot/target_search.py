@@ -50,7 +50,7 @@ def next_phase(phase: CameraPhase, event: CameraEvent) -> CameraPhase:
     return "there" if event == "granted" else "away"
 
 
-class Seek(Revertible):
+class TargetSearch(Revertible):
     """Gimbal and lens of one robot. They serve one target at a time; `act` is told which."""
 
     def __init__(self, fleet: Fleet, robot: Robot, calibration: Calibration) -> None:

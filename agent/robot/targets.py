@@ -37,7 +37,7 @@ from agent.core.step_io import SweepOutcome
 from agent.core.step_transaction import Net, Revertible
 from agent.core.target_state import TargetState
 from agent.core.topics import next_due_ns
-from agent.robot.target_search import Seek, TargetScheduler
+from agent.robot.target_search import TargetSearch, TargetScheduler
 
 LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods
 
@@ -45,12 +45,12 @@ LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer 
 class Targets(Revertible):
     """All targets as one robot knows them, between steps."""
 
-    def __init__(self, context: Context, seek: Seek) -> None:
+    def __init__(self, context: Context, target_search: TargetSearch) -> None:
         fleet, name = context.fleet, context.name
         self._fleet, self._calibration, self._moored = fleet, context.calibration, fleet.robot[name].pose
         self._neighbours = fleet.robot[name].neighbours
         self._attitude: AttitudeLog = context.attitude
-        self._log, self._seek = context.log, seek
+        self._log, self._target_search = context.log, target_search
         self._light: Illumination = context.light
         self._source: PoseSource = context.source
         self._iteration_ns = {target: iteration_ns(fleet, target) for target in fleet.target}
@@ -89,8 +89,8 @@ class Targets(Revertible):
         """A finished sweep becomes a prior: where the sharpest frame saw the target, in the world."""
         if (late := self._source.settled(now_ns)) is not None:
             self.all[late[0]].measure(late[1])
-        result = self._counted(self._seek.finish(now_ns), now_ns)
-        if (remark := self._seek.remark()) is not None:
+        result = self._counted(self._target_search.finish(now_ns), now_ns)
+        if (remark := self._target_search.remark()) is not None:
             self._note("warning", remark, now_ns)
         if result is None:
             return UNSET
@@ -120,7 +120,7 @@ class Targets(Revertible):
         self._judged = None
         if not isinstance(found, Spoiled):
             return pending
-        self._seek.take_back()
+        self._target_search.take_back()
         return Rejected(pending.sweep, f"spoiled: {found.reason}", held_width=pending.held_width)
 
     def _fix(self, peak: Measurement, known: Sample | None) -> Fix | NoRange:
@@ -131,7 +131,7 @@ class Targets(Revertible):
         if known is None and self._source.moves:
             return NoRange("where it was itself at the time of its sharpest frame is not known")
         pose, own = (self._moored, None) if known is None else (known.pose, known.own)
-        fix = self._located(peak, self._seek.eye(level, pose), own)
+        fix = self._located(peak, self._target_search.eye(level, pose), own)
         if isinstance(fix, Fix) and not inside(fix.position_m, self._fleet.tank.size_m):
             return NoRange(f"peak at {peak.lens_position:.0f} is outside the tank")
         return fix
@@ -147,7 +147,7 @@ class Targets(Revertible):
         level = self._attitude.at(peak.t_ns)
         if level is None:
             return False
-        seen = self._located(peak, self._seek.eye(level, known.pose), EXACT)
+        seen = self._located(peak, self._target_search.eye(level, known.pose), EXACT)
         if isinstance(seen, Fix):
             self._source.keep(self.watched, seen, known, prior, now_ns)
         return isinstance(seen, Fix)
@@ -164,7 +164,7 @@ class Targets(Revertible):
         target, elapsed_ns = self.current, now_ns - self._iterated_ns
         period_ns = self._iteration_ns[target.name]
         due_ns = period_ns // 2 if own is not None and own.sighted == target.name else period_ns
-        comes = target.prior is None and (self._seek.measuring or self._settling)
+        comes = target.prior is None and (self._target_search.measuring or self._settling)
         if elapsed_ns < due_ns or (comes and elapsed_ns < LATEST_ITERATION * period_ns):
             return
         self._iterated_ns = now_ns
@@ -177,7 +177,7 @@ class Targets(Revertible):
     def take_turns(self, pursues: str | None) -> None:
         """Whose turn it is now. pursues: a target that the camera goes with."""
         before = self.watched
-        busy = self._seek.measuring or self._settling or self._light.claims
+        busy = self._target_search.measuring or self._settling or self._light.claims
         if not busy and self.current.prior is None:
             self._scheduler.next({name: each.estimator.t for name, each in self.all.items()}, pursues)
         self._turned = self.watched != before
@@ -206,11 +206,11 @@ class Targets(Revertible):
         own = situation.own
         calm = own is None or (own.calm and self.watched != own.pursues)
         wanted = self.current.prior is None and not self._settling and calm and situation.orders.sweeps
-        plan = self._seek.act(situation, wanted and self._light.consent(None, situation))
+        plan = self._target_search.act(situation, wanted and self._light.consent(None, situation))
         if plan is not None:
             self._light.began(situation)
         if self._turned:  # the first iteration of a turn begins when the camera has arrived
-            self._iterated_ns = max(situation.now_ns, self._seek.pointing.steady_from_ns)
+            self._iterated_ns = max(situation.now_ns, self._target_search.pointing.steady_from_ns)
         return CameraAct(plan=plan)
 
     def say(self, send_hz: float | None, pursues: str | None, now_ns: int) -> tuple[Estimate, ...]:

@@ -8,13 +8,13 @@ from agent.core.config import Pose
 from agent.core.estimation.interface import Posterior
 from agent.core.messages import Vector
 from agent.core.ranging.search_pattern import SearchPlan
-from agent.robot.target_search import Seek
+from agent.robot.target_search import TargetSearch
 
 LEVEL = Attitude(0.3, 0.0, 0.0)
 
 
 def situation(
-    seek: Seek,
+    target_search: TargetSearch,
     now_ns: int,
     told_m: Vector | None = None,
     pose: Pose | None = None,
@@ -25,5 +25,5 @@ def situation(
     """The ball is watched; told_m: where it is believed to be."""
     believed = None if told_m is None else Posterior(told_m, (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4))
     target = TargetView("ball", believed, False)
-    here = seek._robot.pose if pose is None else pose
-    return Situation(now_ns, level, here, seek.view(now_ns), "ball", (target,), light=light, search=search)
+    here = target_search._robot.pose if pose is None else pose
+    return Situation(now_ns, level, here, target_search.view(now_ns), "ball", (target,), light=light, search=search)

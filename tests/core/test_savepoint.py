@@ -160,7 +160,7 @@ class Phase(Enum):
 @pytest.mark.parametrize("held", [Plain(), np.zeros(3), (AttitudeLog(),), (1, [2]), Plain().hear, partial(max, [1])])
 def test_a_robot_that_holds_state_elsewhere_is_refused(held: Any) -> None:
     (agent,) = itertools.islice(swims(), 1)
-    agent.seek.held = held
+    agent.target_search.held = held
     assert lost(agent)
-    agent.seek.held = Phase.REST
+    agent.target_search.held = Phase.REST
     assert not lost(agent)

@@ -53,11 +53,11 @@ def order(agent: Agent, now_ns: int, verb: str, args: dict) -> Inputs:
 def test_a_views_sweep_keeps_the_gimbal_whatever_is_ordered_meanwhile(verb: str, args: dict) -> None:
     world = surveying()
     agent, steps = world.agents["r1"], 0
-    goal_us = agent.seek.pointing.goal_us
+    goal_us = agent.target_search.pointing.goal_us
     answer = agent.step(order(agent, world.now_ns, verb, args), world.now_ns + 1).answers[0]
     assert answer.ok, answer.why
     while agent.capabilities["survey"].surveyor.sweeps and steps < 200:
-        assert agent.seek.pointing.goal_us == goal_us
+        assert agent.target_search.pointing.goal_us == goal_us
         world.step()
         steps += 1
     assert steps > 10 and agent.capabilities["survey"].surveyor.keyframes == 1  # it counts
@@ -70,7 +70,7 @@ def test_a_look_that_is_ordered_has_the_camera_before_a_survey_until_that_is_ove
     for _ in range(120):
         world.step()
     assert agent.arbiter.held["camera"] == "operator"
-    assert agent.seek.gimbal_deg()[0] == pytest.approx(20.0, abs=0.5)
+    assert agent.target_search.gimbal_deg()[0] == pytest.approx(20.0, abs=0.5)
 
 
 def test_a_look_that_is_ordered_has_the_camera_before_a_fish_that_is_followed() -> None:
@@ -83,7 +83,7 @@ def test_a_look_that_is_ordered_has_the_camera_before_a_fish_that_is_followed() 
     now_ns = world.now_ns + 1
     assert agent.step(order(agent, world.now_ns, "look", {"pan_deg": -30.0}), now_ns).answers[0].ok
     agent.step(Inputs(telemetry=world.inputs["r1"].telemetry), now_ns + 1)
-    assert agent.arbiter.held["camera"] == "operator" and not agent.seek.pointing.tracks
+    assert agent.arbiter.held["camera"] == "operator" and not agent.target_search.pointing.tracks
 
 
 WORLDS: dict[str, Callable] = {

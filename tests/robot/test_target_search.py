@@ -5,7 +5,7 @@ import pytest
 from agent.core.capability import CameraAct, LightView
 from agent.core.ranging.camera_model import look_at
 from agent.core.step_io import Sighting
-from agent.robot.target_search import LOST_NS, PATIENCE, TURN, Seek, TargetScheduler
+from agent.robot.target_search import LOST_NS, PATIENCE, TURN, TargetSearch, TargetScheduler
 from tests.capabilities.swim.swimming_agent import CALIBRATION, POSE, fleet
 from tests.core.situations import LEVEL, situation
 
@@ -14,32 +14,32 @@ TOLD_M = (1.7, 1.5, 0.2)  # where others say that the ball is
 
 
 @pytest.fixture
-def seek():
+def target_search():
     of = fleet()
-    seek = Seek(of, of.robot["r1"], CALIBRATION)
-    act(seek, START_NS)
-    return seek
+    target_search = TargetSearch(of, of.robot["r1"], CALIBRATION)
+    act(target_search, START_NS)
+    return target_search
 
 
-def act(seek, now_ns, told_m=TOLD_M):
-    return seek.act(situation(seek, now_ns, told_m), True)
+def act(target_search, now_ns, told_m=TOLD_M):
+    return target_search.act(situation(target_search, now_ns, told_m), True)
 
 
-def test_it_waits_before_it_believes_that_a_target_is_lost(seek) -> None:
-    goal_us, now_ns = seek.pointing.goal_us, seek.pointing.steady_from_ns
-    act(seek, now_ns + LOST_NS)
-    assert seek.pointing.goal_us == goal_us
-    act(seek, now_ns + LOST_NS + STEP_NS)
-    assert seek.pointing.goal_us != goal_us
+def test_it_waits_before_it_believes_that_a_target_is_lost(target_search) -> None:
+    goal_us, now_ns = target_search.pointing.goal_us, target_search.pointing.steady_from_ns
+    act(target_search, now_ns + LOST_NS)
+    assert target_search.pointing.goal_us == goal_us
+    act(target_search, now_ns + LOST_NS + STEP_NS)
+    assert target_search.pointing.goal_us != goal_us
 
 
-def test_after_a_look_elsewhere_it_turns_to_the_target_at_once(seek) -> None:
-    now_ns = seek.pointing.steady_from_ns + STEP_NS
-    seek.add_sighting(
+def test_after_a_look_elsewhere_it_turns_to_the_target_at_once(target_search) -> None:
+    now_ns = target_search.pointing.steady_from_ns + STEP_NS
+    target_search.add_sighting(
         Sighting(t_ns=now_ns, frame=1, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0),
         LightView(),
     )
-    plan = act(seek, now_ns)
+    plan = act(target_search, now_ns)
     for index, lens in enumerate(plan.focus[1:], start=1):  # a peak at 300
         clarity = 1.0 / (1.0 + ((lens - 300.0) / 60.0) ** 2)
         now_ns += STEP_NS
@@ -47,20 +47,20 @@ def test_after_a_look_elsewhere_it_turns_to_the_target_at_once(seek) -> None:
             t_ns=now_ns, frame=1 + index, sweep=plan.sweep, index=index, focus=lens, target="ball", found=True,
             centre_px=(320.0, 240.0), radius_px=40.0, clarity=clarity, area_px=2000.0,
         )  # fmt: skip
-        seek.add_sighting(seen, LightView())
-    assert seek.finish(now_ns) is not None
-    seek.carry_out(CameraAct((-60.0, 0.0)), now_ns)
-    away_us, now_ns = seek.pointing.goal_us, now_ns + STEP_NS  # on its way still
-    act(seek, now_ns)
-    assert seek.pointing.goal_us != away_us
+        target_search.add_sighting(seen, LightView())
+    assert target_search.finish(now_ns) is not None
+    target_search.carry_out(CameraAct((-60.0, 0.0)), now_ns)
+    away_us, now_ns = target_search.pointing.goal_us, now_ns + STEP_NS  # on its way still
+    act(target_search, now_ns)
+    assert target_search.pointing.goal_us != away_us
     pan_deg, _ = look_at(TOLD_M, POSE, fleet().body, *LEVEL, fleet().tank.surface_m)
-    assert seek.gimbal_deg()[0] == pytest.approx(pan_deg, abs=0.2)
-    now_ns = seek.pointing.steady_from_ns + STEP_NS
-    seek.add_sighting(
+    assert target_search.gimbal_deg()[0] == pytest.approx(pan_deg, abs=0.2)
+    now_ns = target_search.pointing.steady_from_ns + STEP_NS
+    target_search.add_sighting(
         Sighting(t_ns=now_ns, frame=99, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0),
         LightView(),
     )
-    again = act(seek, now_ns)
+    again = act(target_search, now_ns)
     assert len(again.focus) < len(plan.focus)  # it looks around the peak that it knows
 
 

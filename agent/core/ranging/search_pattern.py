@@ -32,7 +32,7 @@ class SearchPlan(NamedTuple):
 
 
 class SearchPattern(Revertible):
-    """How far the looks of one search have come. `Seek` (target_search.py) moves it on."""
+    """How far the looks of one search have come. `TargetSearch` (target_search.py) moves it on."""
 
     def __init__(self, target: str, spiral: Ways, around: Ways) -> None:
         self.target = target

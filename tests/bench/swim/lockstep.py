@@ -201,4 +201,4 @@ def _row(agent: Agent, dive: Dive) -> list[float]:
     if here is not None:
         believed, sigma_m = list(here.pose), np.sqrt(here.covariance[0] + here.covariance[3])
     true = [*state["position_m"][:2], euler_rad(state["quaternion"])[2]]
-    return [(dive.now_ns - START_NS) * 1e-9, *true, *believed, sigma_m, agent.seek.measuring]
+    return [(dive.now_ns - START_NS) * 1e-9, *true, *believed, sigma_m, agent.target_search.measuring]

@@ -24,7 +24,7 @@ from agent.core.config import Target
 from agent.core.ranging.pointing import SEARCH_DEG
 from agent.core.ranging.search_pattern import SearchPlan
 from agent.core.step_io import Sighting
-from agent.robot.target_search import Seek
+from agent.robot.target_search import TargetSearch
 from tests.capabilities.light.lit_swarm import STEP_NS, LitScript, LitSwarm, lit_fleet
 from tests.core.situations import situation
 from tests.network.scripted_agent import CALIBRATION
@@ -38,17 +38,17 @@ FAR = Choice(("r2",), 12.0, 8.0, 20.0, True, 0.4, 0.05)
 NEAR = Choice(("r1",), 8.0, 8.0, 90.0, False, 0.05, 0.05)
 
 
-def seek() -> Seek:
-    return Seek(FLEET, R1, CALIBRATION)
+def target_search() -> TargetSearch:
+    return TargetSearch(FLEET, R1, CALIBRATION)
 
 
-def at(here: Seek, now_ns: int) -> Situation:
+def at(here: TargetSearch, now_ns: int) -> Situation:
     return situation(here, now_ns, level=LEVEL)
 
 
 def test_places_are_ahead_and_beside_that_then_farther_out_and_none_outside_the_tank() -> None:
     fleet = replace(FLEET, tank=replace(FLEET.tank, size_m=(1.7, 1.7, 1.0)))
-    search, here = LightSearch(fleet, "r1", CALIBRATION.camera), seek()
+    search, here = LightSearch(fleet, "r1", CALIBRATION.camera), target_search()
     found = []
     for _ in range(len(RANGES_M) * len(SEARCH_DEG)):
         found.append(search.place(R1.pose, LEVEL))
@@ -78,7 +78,7 @@ def test_a_place_counts_that_others_lamps_show_and_the_own_does_not(choice: Choi
 
 
 def test_what_was_glimpsed_by_anothers_light_is_the_next_place_once() -> None:
-    search, here = LightSearch(FLEET, "r1", CALIBRATION.camera), seek()
+    search, here = LightSearch(FLEET, "r1", CALIBRATION.camera), target_search()
     first, now_ns = search.place(R1.pose, LEVEL), sees_ball(here)
     lease = Lease(1, 0, 5.0, True, (0.6, 0.5, 0.1), (("r2", 1.0),))
     party = Party("r1", 1, bound=Bound("r2", 1, lease, now_ns + 10**9))
@@ -91,7 +91,7 @@ def test_what_was_glimpsed_by_anothers_light_is_the_next_place_once() -> None:
 
 
 def test_a_ball_in_view_is_as_far_away_as_it_looks() -> None:
-    here = seek()
+    here = target_search()
     now_ns = sees_ball(here)
     at_m = glimpsed_m(FLEET, CALIBRATION.camera, None, at(here, now_ns))
     far_m = 0.07 * CALIBRATION.camera.f_px / 70.0
@@ -99,7 +99,7 @@ def test_a_ball_in_view_is_as_far_away_as_it_looks() -> None:
     assert glimpsed_m(FLEET, CALIBRATION.camera, None, at(here, now_ns + 10**9)) is None
 
 
-def sees_ball(here: Seek) -> int:
+def sees_ball(here: TargetSearch) -> int:
     """Now, ns: a ball of 70 px is in the middle of the picture."""
     here.act(at(here, 0), False)
     now_ns = here.pointing.steady_from_ns + STEP_NS
@@ -180,7 +180,7 @@ def test_a_creature_has_to_show_by_more_light_than_a_ball() -> None:
 
 
 def test_a_robot_with_a_search_pattern_of_its_own_asks_for_no_light() -> None:
-    search, here = LightSearch(FLEET, "r1", CALIBRATION.camera), seek()
+    search, here = LightSearch(FLEET, "r1", CALIBRATION.camera), target_search()
     here.act(at(here, 0), False)
     search.look(at(here, 0))
     assert search.look(at(here, 10**10))

@@ -152,4 +152,4 @@ def test_it_finds_a_ball_behind_it_measures_it_and_holds() -> None:
     assert believed is not None and math.dist(believed.x_m, (0.5, 1.1, 0.07)) < 0.05
     for _ in range(2 * 20):
         one.step()
-    assert swimmer_of(agent.capabilities).does == "hold" and agent.seek.view(0).search is None
+    assert swimmer_of(agent.capabilities).does == "hold" and agent.target_search.view(0).search is None

@@ -50,7 +50,7 @@ def test_without_landmarks_it_only_looks_around() -> None:
     for _ in range(14 * 20):
         one.step()
         assert one.wrench == AT_REST and one.outputs.set_point.depth_m == DEPTH_M
-        ways.add(one.agent.seek.pointing.goal_us)
+        ways.add(one.agent.target_search.pointing.goal_us)
     assert len(ways) >= 5 and np.ptp([pan for pan, _ in ways]) > 1000  # 90 degrees
     assert one.state.whereabouts is None
     one.run(17.0, 5 * STEP_NS)
@@ -136,7 +136,7 @@ def test_lost_it_brakes_looks_around_surfaces_and_goes_on_when_it_is_found() -> 
     while one.outputs.set_point.depth_m == DEPTH_M:
         one.step(8 * STEP_NS)  # a busy computer; what it does does not hang on how often
         assert one.wrench == AT_REST or one.now_ns - since_ns < BRAKES_NS
-        ways.add(one.agent.seek.pointing.goal_us)
+        ways.add(one.agent.target_search.pointing.goal_us)
     assert (
         one.wrench == AT_REST
         and 30.0 < (one.now_ns - since_ns) * 1e-9 < 30.9
@@ -183,17 +183,17 @@ def test_after_a_sweep_it_waits_for_sharp_frames_before_it_glances() -> None:
     one = InTank(fleet(look=Look(pan_deg=20.0)))
     assert one.until(lambda: not one.swimmer.lost, 4.0)
     one.run(2.0)
-    one.sees_tags, swimmer, at_us = False, one.swimmer, one.agent.seek.pointing.goal_us
+    one.sees_tags, swimmer, at_us = False, one.swimmer, one.agent.target_search.pointing.goal_us
     for _ in range(60):
         swimmer._swept_ns = one.now_ns  # as if one sweep followed the other
         one.step()
-    assert one.agent.seek.pointing.goal_us == at_us and not within(
+    assert one.agent.target_search.pointing.goal_us == at_us and not within(
         swimmer.localizer.at(one.now_ns), UNSURE_M, UNSURE_DEG
     )
     one.run(ARRIVED_NS * 1e-9 - 0.05)
-    assert one.agent.seek.pointing.goal_us == at_us
+    assert one.agent.target_search.pointing.goal_us == at_us
     one.run(0.1)
-    assert one.agent.seek.pointing.goal_us != at_us
+    assert one.agent.target_search.pointing.goal_us != at_us
 
 
 def test_no_sweep_begins_while_it_swims_fast() -> None:
