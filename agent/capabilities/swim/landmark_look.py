@@ -43,7 +43,7 @@ class Way(NamedTuple):
     sigma_deg: float  # of its direction, for all that is known of the pose
 
 
-class Glance(Revertible):
+class LandmarkLook(Revertible):
     """One look for landmarks after the other, until the pose is sure enough."""
 
     def __init__(self, markers: Iterable[Marker], body: Body, surface_m: float, half_deg: float) -> None:

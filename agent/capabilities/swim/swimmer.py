@@ -13,7 +13,7 @@ from agent.capabilities.swim.barrier import SIGMAS, TARGET_M, Disc, Planar, Refe
 from agent.capabilities.swim.barrier import STILL as AT_REST
 from agent.capabilities.swim.behaviour import Progress, effective, reference, start, wanted_velocity, wrench
 from agent.capabilities.swim.deconfliction import Company, Neighbours, direly_unsure, pace
-from agent.capabilities.swim.landmark_look import Glance, Sure, half_picture_deg
+from agent.capabilities.swim.landmark_look import LandmarkLook, Sure, half_picture_deg
 from agent.capabilities.swim.landmarks import markers
 from agent.capabilities.swim.localizer import (
     AWAY_S,
@@ -268,8 +268,10 @@ class Swimmer(Revertible):
         self.localizer = Localizer(fleet, calibration)
         self._gyro = Gyro() if fleet.navigation.gyro else None
         half_deg = half_picture_deg(calibration.camera)
-        self._glance = Glance(markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m, half_deg)
-        self._glancing = False
+        self._landmark_look = LandmarkLook(
+            markers(fleet.landmarks).values(), fleet.body, fleet.tank.surface_m, half_deg
+        )
+        self._at_landmarks = False
         self._swept_ns = 0  # when a sweep was last seen under way
         self.gimbal = GimbalLog(calibration.camera, fleet.body)
         self._lost_since_ns: int | None = None
@@ -322,8 +324,8 @@ class Swimmer(Revertible):
             self._swept_ns = now_ns
         lens = {frame.t_ns: frame.focus for frame in tags}
         for frame in tags:
-            if self._glancing and frame.t_ns >= camera.nearly_from_ns:
-                self._glance.add_frame(bool(frame.tags))
+            if self._at_landmarks and frame.t_ns >= camera.nearly_from_ns:
+                self._landmark_look.add_frame(bool(frame.tags))
             carriage = self._carriage_at(frame.t_ns, attitude)
             if carriage is not None:
                 self.localizer.see(frame, carriage)
@@ -338,7 +340,7 @@ class Swimmer(Revertible):
         ahead_s = SWIFTLY_S if self.pursues is not None else AWAY_S
         knows = here is not None and foresees(here, ahead_s) and camera.steady(now_ns)
         goes = camera.search is not None or self.pursues is not None  # a gaze that never rests
-        rests = (goes or camera.steady(now_ns - KEY_NS)) and not self._glancing
+        rests = (goes or camera.steady(now_ns - KEY_NS)) and not self._at_landmarks
         self.phase = after(self.phase, Found(located, knows, rests))
         self._lost_since_ns = None if located else self._lost_since_ns or now_ns
 
@@ -371,7 +373,7 @@ class Swimmer(Revertible):
     @property
     def glances(self) -> bool:
         """Its camera is turned to landmarks."""
-        return self._glancing
+        return self._at_landmarks
 
     @property
     def fellows_m(self) -> tuple[Planar, ...]:
@@ -395,35 +397,35 @@ class Swimmer(Revertible):
         now_ns, camera, level = situation.now_ns, situation.camera, situation.level
         here, steady, knows_way = self.localizer.at(now_ns), camera.steady(now_ns), knows_its_way(self.phase)
         swift = knows_way and pursues  # what swims does not wait, and landmarks pass behind it
-        brief = self._glancing and swift
-        enough = (SURE_M, SURE_DEG) if self._glancing else (UNSURE_M, UNSURE_DEG)
+        brief = self._at_landmarks and swift
+        enough = (SURE_M, SURE_DEG) if self._at_landmarks else (UNSURE_M, UNSURE_DEG)
         if swift:
             share = BRIEF if brief else PURSUES
             enough = share * UNSURE_M, share * UNSURE_DEG
-        moves = knows_way and (not self._glancing or brief or (here is not None and foresees(here)))
+        moves = knows_way and (not self._at_landmarks or brief or (here is not None and foresees(here)))
         sure = here is not None and within(here, *enough) and moves
         # A robot that searches watches nothing, and one that does not know how it swims cannot search.
         searches = self._errand.search is not None and not knows_way
-        waits = self.company.waits(here, self._glancing, now_ns) and not searches
+        waits = self.company.waits(here, self._at_landmarks, now_ns) and not searches
         blind = now_ns - max(self.localizer.fixed_ns, self._swept_ns) > ARRIVED_NS
         dire = blind and here is not None and direly_unsure(here)
-        if level is None or sure or waits or not (steady or dire or self._glancing or searches):
-            self._glancing = False
+        if level is None or sure or waits or not (steady or dire or self._at_landmarks or searches):
+            self._at_landmarks = False
             return None
-        if not self._glancing:
+        if not self._at_landmarks:
             if not dire and now_ns <= max(camera.steady_from_ns, self._swept_ns) + ARRIVED_NS:
                 return CameraAct()
-            self._glancing = True
-            self._glance.reset()
+            self._at_landmarks = True
+            self._landmark_look.reset()
         by = self.here or here
         pose, known = (None, NOTHING) if by is None or adrift(by) else (situation.pose, Sure(*sigmas(by)))
         from_deg = camera.gimbal_deg if swift else None
-        aim_deg = self._glance.direction_deg(pose, known, level, steady, now_ns, from_deg)
+        aim_deg = self._landmark_look.direction_deg(pose, known, level, steady, now_ns, from_deg)
         return CameraAct(aim_deg, "track" if swift else "rest")
 
     def look_back(self) -> None:
         """The camera is not at landmarks any more."""
-        self._glancing = False
+        self._at_landmarks = False
 
     # --- body, row by row of the table of priorities ---
 
@@ -484,7 +486,7 @@ class Swimmer(Revertible):
         if to.coast:
             return STILL
         share, turn_rad_s = pace(by), min(math.radians(self._limits.turn_deg_s), to.most_rad_s)
-        turns = 0.0 if self._glancing else share  # the gimbal would look past the landmarks
+        turns = 0.0 if self._at_landmarks else share  # the gimbal would look past the landmarks
         most_m_s = min(self._limits.speed_m_s, to.most_m_s)
         to = to._replace(speed_m_s=share * most_m_s, turn_rad_s=turns * turn_rad_s)
         if to.depth_m is not None:
@@ -500,7 +502,7 @@ class Swimmer(Revertible):
         here = self.localizer.at(now_ns)
         if (newest := attitude.newest) is None or not self.company.due(now_ns) or here is None:
             return ()
-        return self.company.say(here, self.does, self.about, self._glancing, newest.depth_m, now_ns)
+        return self.company.say(here, self.does, self.about, self._at_landmarks, newest.depth_m, now_ns)
 
     def depth_m(self, now_ns: int) -> float:
         """Where it hovers: at its depth, or at the surface when it has been lost for too long."""

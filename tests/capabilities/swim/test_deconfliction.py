@@ -179,12 +179,12 @@ def test_without_a_word_they_would_have_met() -> None:
 def test_one_of_a_fleet_looks_for_landmarks_at_a_time() -> None:
     """r02 said that it does; r01 waits for as long as it can afford to."""
     one = FleetInTank(fleet_of(POSES[:2]), seed=4).robots["r01"]
-    assert one.until(lambda: not one.swimmer.lost and not one.swimmer._glancing, 6.0)
+    assert one.until(lambda: not one.swimmer.lost and not one.swimmer._at_landmarks, 6.0)
     one.sees_tags, unsure = False, []
     for seq in range(1, 4 * 20):
         said = presence(seq=seq, sent_ns=one.now_ns, glance_until_ns=one.now_ns + S // 2)
         one.step(heard=[Heard(arrived_ns=one.now_ns, src="r02", payload=encode(said), topic="near")])
         here = one.swimmer.localizer.at(one.now_ns)
-        unsure.append(((here.covariance[0] + here.covariance[3]) ** 0.5, one.swimmer._glancing))
+        unsure.append(((here.covariance[0] + here.covariance[3]) ** 0.5, one.swimmer._at_landmarks))
     waited = [sigma_m for sigma_m, glances in unsure if not glances]
     assert max(waited) > 0.032 and unsure[-1][1]

@@ -8,7 +8,7 @@ import pytest
 from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
-from agent.capabilities.swim.landmark_look import SEARCH_DEG, WAIT_NS, Glance, Sure
+from agent.capabilities.swim.landmark_look import SEARCH_DEG, WAIT_NS, LandmarkLook, Sure
 from agent.capabilities.swim.landmarks import axes, corners, facing, markers, survey_jacobian
 from agent.core.attitude import Attitude
 from agent.core.config import Body, ConfigError, Landmarks, Pose, Tag, Tank, common, dump
@@ -27,7 +27,7 @@ def on_wall(number, y_m, face="x1", x_m=2.5):
 
 
 def glance(*tags, body=BODY):
-    return Glance(markers(Landmarks(size_m=0.08, tag=tags)).values(), body, SURFACE_M, half_deg=14.0)
+    return LandmarkLook(markers(Landmarks(size_m=0.08, tag=tags)).values(), body, SURFACE_M, half_deg=14.0)
 
 
 def ways(of, count, pose=HERE, sure=KNOWN):

@@ -120,7 +120,7 @@ def test_it_stands_still_while_it_looks_for_landmarks() -> None:
     one = InTank(replace(fleet(behaviour=Turn(yaw_deg=170.0)), navigation=slow))
     assert one.until(lambda: abs(one.body.speed[2]) > 0.25, 6.0)
     one.sees_tags = False
-    assert one.until(lambda: one.swimmer._glancing, 4.0)
+    assert one.until(lambda: one.swimmer._at_landmarks, 4.0)
     one.run(0.6)
     assert abs(one.body.speed[2]) < 0.1 and one.off(0.0, 0.0, 170.0)[1] > 10.0
     assert 0.0 < pace(one.swimmer.localizer.at(one.now_ns)) < 1.0 or one.swimmer.lost
