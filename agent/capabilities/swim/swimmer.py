@@ -107,7 +107,7 @@ class Screen(NamedTuple):
     since_ns: int
 
 
-class Errand(Revertible):
+class TargetContext(Revertible):
     """What a robot needs to know for a behaviour about a target by name, and where its camera looks meanwhile.
 
     Of a behaviour that is about no target it knows nothing.
@@ -264,7 +264,7 @@ class Swimmer(Revertible):
         self._tank_m = fleet.tank.size_m[0], fleet.tank.size_m[1]
         self._swims = pursued(fleet)
         self._depth_m = robot.depth_m
-        self._errand = Errand(fleet, calibration)
+        self._target_context = TargetContext(fleet, calibration)
         self.localizer = Localizer(fleet, calibration)
         self._gyro = Gyro() if fleet.navigation.gyro else None
         half_deg = half_picture_deg(calibration.camera)
@@ -307,13 +307,13 @@ class Swimmer(Revertible):
     @property
     def does(self) -> str:
         """Its behaviour in effect, as the fleet file calls it."""
-        return kind(self._errand.does or self.task.behaviour)
+        return kind(self._target_context.does or self.task.behaviour)
 
     def heed(self, situation: Situation) -> SearchPlan | None:
         """What its behaviour goes by in this step; returns how the camera looks for a target that it searches."""
         task, neighbours = self.task, self.company.neighbours
-        self._errand.heed(task.behaviour, task.progress, neighbours, self._depth_m, situation)
-        return self._errand.search
+        self._target_context.heed(task.behaviour, task.progress, neighbours, self._depth_m, situation)
+        return self._target_context.search
 
     def see(
         self, tags: Sequence[SeenTags], flows: Sequence[Flow], attitude: AttitudeLog, camera: CameraView, now_ns: int
@@ -368,7 +368,7 @@ class Swimmer(Revertible):
     @property
     def search(self) -> SearchPlan | None:
         """How its camera looks for a target that it searches."""
-        return self._errand.search
+        return self._target_context.search
 
     @property
     def glances(self) -> bool:
@@ -378,12 +378,12 @@ class Swimmer(Revertible):
     @property
     def fellows_m(self) -> tuple[Planar, ...]:
         """Where those are that do the same about the same target."""
-        return () if self._errand.around is None else self._errand.around.fellows_m
+        return () if self._target_context.around is None else self._target_context.around.fellows_m
 
     def hidden(self, at_m: Vector, now_ns: int) -> None:
         """The target that is there is not in sight from here."""
         if self.here is not None:
-            self._errand.hidden(self.here.pose[:2], (at_m[0], at_m[1]), now_ns)
+            self._target_context.hidden(self.here.pose[:2], (at_m[0], at_m[1]), now_ns)
 
     @property
     def lost(self) -> bool:
@@ -405,7 +405,7 @@ class Swimmer(Revertible):
         moves = knows_way and (not self._at_landmarks or brief or (here is not None and foresees(here)))
         sure = here is not None and within(here, *enough) and moves
         # A robot that searches watches nothing, and one that does not know how it swims cannot search.
-        searches = self._errand.search is not None and not knows_way
+        searches = self._target_context.search is not None and not knows_way
         waits = self.company.waits(here, self._at_landmarks, now_ns) and not searches
         blind = now_ns - max(self.localizer.fixed_ns, self._swept_ns) > ARRIVED_NS
         dire = blind and here is not None and direly_unsure(here)
@@ -481,7 +481,7 @@ class Swimmer(Revertible):
 
     def _towards(self, own: Belief, by: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
         """own: where it goes is said, and what is said has nothing in it that was heard; by: how it gets there."""
-        around = self._errand.around and self._errand.around._replace(velocity_m_s=(own.x[3], own.x[4]))
+        around = self._target_context.around and self._target_context.around._replace(velocity_m_s=(own.x[3], own.x[4]))
         to = self.task.reference(own.pose, now_ns, watched_m, around, self._tank_m)
         if to.coast:
             return STILL
@@ -492,7 +492,7 @@ class Swimmer(Revertible):
         if to.depth_m is not None:
             self._depth_m = to.depth_m
         things = () if watched_m is None else (Disc(watched_m, TARGET_M),)
-        if (followed := self._errand.disc(now_ns)) is not None:
+        if (followed := self._target_context.disc(now_ns)) is not None:
             things = (followed,)
         velocity = self.company.velocity(wanted_velocity(by, to), by, to, things, now_ns)
         return wrench(by, self.localizer.hull, to, velocity)
