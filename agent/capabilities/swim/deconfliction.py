@@ -143,7 +143,7 @@ WAIT_WITHIN = 2.0  # times as unsure as where a look is due: until then one that
 YIELD_NS = 500_000_000  # two that began at once have heard of it by now; the one whose name comes first goes on
 
 
-class Company(Revertible):
+class Deconfliction(Revertible):
     """What a robot that swims has to do with its neighbours, between steps."""
 
     def __init__(self, fleet: Fleet, name: str, incarnation: int) -> None:

@@ -57,7 +57,7 @@ class Swim(Capability, PoseSource):
 
     def receive(self, heard: Heard, accepted: frozenset[int]) -> None:
         presence = decode(heard.payload, Presence, NEAR.limit, accepted)
-        self.swimmer.company.neighbours.hear(heard.src, presence, heard.arrived_ns)
+        self.swimmer.deconfliction.neighbours.hear(heard.src, presence, heard.arrived_ns)
 
     def update(self, inputs: Inputs, situation: Situation) -> Situation:
         now_ns = situation.now_ns
@@ -65,7 +65,7 @@ class Swim(Capability, PoseSource):
         self.swimmer.feel(inputs.telemetry)
         seen = inputs.landmarks or (), inputs.flow or ()
         self.swimmer.see(*seen, self._attitude, situation.camera, now_ns)
-        neighbours = neighbour_views(self.swimmer.company.neighbours, now_ns)
+        neighbours = neighbour_views(self.swimmer.deconfliction.neighbours, now_ns)
         return situation._replace(own=self._own(now_ns), neighbours=neighbours)
 
     def decide(self, situation: Situation) -> Situation:

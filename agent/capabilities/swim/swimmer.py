@@ -12,7 +12,7 @@ from msgspec.structs import replace
 from agent.capabilities.swim.barrier import SIGMAS, TARGET_M, Disc, Planar, Reference
 from agent.capabilities.swim.barrier import STILL as AT_REST
 from agent.capabilities.swim.behaviour import Progress, effective, reference, start, wanted_velocity, wrench
-from agent.capabilities.swim.deconfliction import Company, Neighbours, direly_unsure, pace
+from agent.capabilities.swim.deconfliction import Deconfliction, Neighbours, direly_unsure, pace
 from agent.capabilities.swim.landmark_look import LandmarkLook, Sure, half_picture_deg
 from agent.capabilities.swim.landmarks import markers
 from agent.capabilities.swim.localizer import (
@@ -259,7 +259,7 @@ class Swimmer(Revertible):
         self, fleet: Fleet, name: str, calibration: Calibration, incarnation: int, attitude: AttitudeLog
     ) -> None:
         assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
-        robot, self.company, self._attitude = fleet.robot[name], Company(fleet, name, incarnation), attitude
+        robot, self.deconfliction, self._attitude = fleet.robot[name], Deconfliction(fleet, name, incarnation), attitude
         self._limits, self.task = fleet.navigation.limits, Task(robot)
         self._tank_m = fleet.tank.size_m[0], fleet.tank.size_m[1]
         self._swims = pursued(fleet)
@@ -290,7 +290,7 @@ class Swimmer(Revertible):
     def faults(self, now_ns: int) -> tuple[str, ...]:
         """What is wrong with its sensors and its neighbours, for people."""
         fault = None if self._gyro is None else self._gyro.fault(now_ns)
-        return (*(() if fault is None else (fault,)), *self.company.neighbours.faults(now_ns))
+        return (*(() if fault is None else (fault,)), *self.deconfliction.neighbours.faults(now_ns))
 
     def dive(self, depth_m: float) -> None:
         """Hover there from now on."""
@@ -311,7 +311,7 @@ class Swimmer(Revertible):
 
     def heed(self, situation: Situation) -> SearchPlan | None:
         """What its behaviour goes by in this step; returns how the camera looks for a target that it searches."""
-        task, neighbours = self.task, self.company.neighbours
+        task, neighbours = self.task, self.deconfliction.neighbours
         self._target_context.heed(task.behaviour, task.progress, neighbours, self._depth_m, situation)
         return self._target_context.search
 
@@ -332,7 +332,7 @@ class Swimmer(Revertible):
         for flow in flows:
             then, now = self._carriage_at(flow.since_ns, attitude), self._carriage_at(flow.t_ns, attitude)
             if then is not None and now is not None:
-                others_m = self.company.neighbours.places()
+                others_m = self.deconfliction.neighbours.places()
                 self.localizer.follow(flow, then, now, lens.get(flow.t_ns), others_m)
         self.localizer.advance(now_ns)
         here = self.localizer.at(now_ns)
@@ -406,7 +406,7 @@ class Swimmer(Revertible):
         sure = here is not None and within(here, *enough) and moves
         # A robot that searches watches nothing, and one that does not know how it swims cannot search.
         searches = self._target_context.search is not None and not knows_way
-        waits = self.company.waits(here, self._at_landmarks, now_ns) and not searches
+        waits = self.deconfliction.waits(here, self._at_landmarks, now_ns) and not searches
         blind = now_ns - max(self.localizer.fixed_ns, self._swept_ns) > ARRIVED_NS
         dire = blind and here is not None and direly_unsure(here)
         if level is None or sure or waits or not (steady or dire or self._at_landmarks or searches):
@@ -476,7 +476,7 @@ class Swimmer(Revertible):
 
     def _stays(self, by: Belief, to: Reference, now_ns: int) -> Wrench:
         """There, but out of the way of others: a robot that drifts is pulled into them."""
-        velocity = self.company.velocity(wanted_velocity(by, to), by, to, (), now_ns)
+        velocity = self.deconfliction.velocity(wanted_velocity(by, to), by, to, (), now_ns)
         return wrench(by, self.localizer.hull, to, velocity)
 
     def _towards(self, own: Belief, by: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
@@ -494,15 +494,15 @@ class Swimmer(Revertible):
         things = () if watched_m is None else (Disc(watched_m, TARGET_M),)
         if (followed := self._target_context.disc(now_ns)) is not None:
             things = (followed,)
-        velocity = self.company.velocity(wanted_velocity(by, to), by, to, things, now_ns)
+        velocity = self.deconfliction.velocity(wanted_velocity(by, to), by, to, things, now_ns)
         return wrench(by, self.localizer.hull, to, velocity)
 
     def say(self, attitude: AttitudeLog, now_ns: int) -> tuple[Presence, ...]:
         """Where it is or may be, and where it goes, to each neighbour; nothing before it has found itself."""
         here = self.localizer.at(now_ns)
-        if (newest := attitude.newest) is None or not self.company.due(now_ns) or here is None:
+        if (newest := attitude.newest) is None or not self.deconfliction.due(now_ns) or here is None:
             return ()
-        return self.company.say(here, self.does, self.about, self._at_landmarks, newest.depth_m, now_ns)
+        return self.deconfliction.say(here, self.does, self.about, self._at_landmarks, newest.depth_m, now_ns)
 
     def depth_m(self, now_ns: int) -> float:
         """Where it hovers: at its depth, or at the surface when it has been lost for too long."""

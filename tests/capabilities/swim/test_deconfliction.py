@@ -110,13 +110,13 @@ def test_a_step_takes_it_from_the_key_of_its_sender_alone() -> None:
     assert taken(agent.inbox, replace(item, src="r03")) == {"address": 1}
     assert (
         taken(agent.inbox, item) == {"address": 1}
-        and len(swimmer_of(agent.capabilities).company.neighbours.discs(3 * S)) == 1
+        and len(swimmer_of(agent.capabilities).deconfliction.neighbours.discs(3 * S)) == 1
     )
     assert taken(agent.inbox, replace(item, payload=b"\xc1"))["garbage"] == 1
     nan = encode(presence(seq=2)).replace(encode_float(0.2), encode_float(float("nan")))
     assert taken(agent.inbox, replace(item, payload=nan))["content"] == 1
     assert taken(agent.inbox, replace(item, payload=item.payload + bytes(NEAR.limit)))["size"] == 1
-    assert len(swimmer_of(agent.capabilities).company.neighbours.discs(3 * S)) == 1
+    assert len(swimmer_of(agent.capabilities).deconfliction.neighbours.discs(3 * S)) == 1
 
 
 def encode_float(value: float) -> bytes:
