@@ -89,7 +89,7 @@ def test_all_behaviours_begin(robot) -> None:
     ):
         assert robot.give(verb, **args).ok
         robot.run(0.5)
-        assert robot.swimmer.task.behaviour.__struct_config__.tag == verb
+        assert robot.swimmer.active.behaviour.__struct_config__.tag == verb
 
 
 def test_a_look_gives_way_to_landmarks(robot) -> None:

@@ -121,20 +121,20 @@ class Swim(Capability, PoseSource):
             case HoldHere():
                 if command.depth_m is not None:
                     self.swimmer.dive(command.depth_m)
-                self.swimmer.task.begin(Hold())
+                self.swimmer.active.begin(Hold())
             case Set() if command.name == "speed_m_s":
                 assert self._fleet.navigation is not None
                 within("value", command.value, 0.01, self._fleet.navigation.limits.speed_m_s)
                 self.swimmer.limit_speed(command.value)
             case Resume():
                 assert self._fleet.navigation is not None
-                self.swimmer.task.resume()
+                self.swimmer.active.resume()
                 self.swimmer.dive(self._robot.depth_m)
                 self.swimmer.limit_speed(self._fleet.navigation.limits.speed_m_s)
             case Goto() | Turn() | Orbit() | Follow() | Search() | Survey() | Trial():
                 if isinstance(command, Goto) and command.depth_m is not None:
                     within("depth_m", command.depth_m, SURFACE_M, self._fleet.tank.surface_m)
-                self.swimmer.task.begin(command)
+                self.swimmer.active.begin(command)
             case _:
                 return False
         return True

@@ -61,7 +61,7 @@ from agent.core.target_state import TargetEstimate
 # --- behaviour in force ---
 
 
-class Task(Revertible):
+class ActiveBehaviour(Revertible):
     """What a robot that swims is told to do, by its fleet file or by order, and how far it is with that."""
 
     def __init__(self, robot: Robot) -> None:
@@ -260,7 +260,7 @@ class Swimmer(Revertible):
     ) -> None:
         assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
         robot, self.deconfliction, self._attitude = fleet.robot[name], Deconfliction(fleet, name, incarnation), attitude
-        self._limits, self.task = fleet.navigation.limits, Task(robot)
+        self._limits, self.active = fleet.navigation.limits, ActiveBehaviour(robot)
         self._tank_m = fleet.tank.size_m[0], fleet.tank.size_m[1]
         self._swims = pursued(fleet)
         self._depth_m = robot.depth_m
@@ -302,17 +302,17 @@ class Swimmer(Revertible):
     @property
     def about(self) -> str | None:
         """The name of the target that its behaviour is about."""
-        return about(self.task.behaviour)
+        return about(self.active.behaviour)
 
     @property
     def does(self) -> str:
         """Its behaviour in effect, as the fleet file calls it."""
-        return kind(self._target_context.does or self.task.behaviour)
+        return kind(self._target_context.does or self.active.behaviour)
 
     def heed(self, situation: Situation) -> SearchPlan | None:
         """What its behaviour goes by in this step; returns how the camera looks for a target that it searches."""
-        task, neighbours = self.task, self.deconfliction.neighbours
-        self._target_context.heed(task.behaviour, task.progress, neighbours, self._depth_m, situation)
+        active, neighbours = self.active, self.deconfliction.neighbours
+        self._target_context.heed(active.behaviour, active.progress, neighbours, self._depth_m, situation)
         return self._target_context.search
 
     def see(
@@ -482,7 +482,7 @@ class Swimmer(Revertible):
     def _towards(self, own: Belief, by: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
         """own: where it goes is said, and what is said has nothing in it that was heard; by: how it gets there."""
         around = self._target_context.around and self._target_context.around._replace(velocity_m_s=(own.x[3], own.x[4]))
-        to = self.task.reference(own.pose, now_ns, watched_m, around, self._tank_m)
+        to = self.active.reference(own.pose, now_ns, watched_m, around, self._tank_m)
         if to.coast:
             return STILL
         share, turn_rad_s = pace(by), min(math.radians(self._limits.turn_deg_s), to.most_rad_s)

@@ -30,7 +30,7 @@ def swum(seed: int, gyro: bool = False) -> tuple[body_calibration.Trial, dict[st
     with tempfile.TemporaryDirectory() as folder, drawn(of, Path(folder)) as one:
         for _ in range(round(20 * MOST_S)):
             one.step()
-            progress = swimmer_of(one.agent.capabilities).task.progress
+            progress = swimmer_of(one.agent.capabilities).active.progress
             if progress is not None:
                 given.append(planar_n(one))
                 asked.append(one.believed.force)
@@ -70,7 +70,7 @@ def gone(seed: int, body: BodyFit | None) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder, drawn(swimming(seed, TO, FROM), Path(folder), body) as one:
         for _ in range(400):  # until it knows where it is; it swims from then on
             one.step()
-            if swimmer_of(one.agent.capabilities).task.progress is not None:
+            if swimmer_of(one.agent.capabilities).active.progress is not None:
                 break
         path = one.run(14.0)
     along, off = path[:, 0] - TO.x_m, np.hypot(path[:, 0] - TO.x_m, path[:, 1] - TO.y_m)

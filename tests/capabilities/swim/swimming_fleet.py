@@ -90,4 +90,4 @@ class FleetInTank:
 
     def goto(self, name: str, place) -> None:
         one = self.robots[name]
-        one.swimmer.task.begin(Goto(x_m=float(place[0]), y_m=float(place[1])))
+        one.swimmer.active.begin(Goto(x_m=float(place[0]), y_m=float(place[1])))

@@ -230,8 +230,8 @@ def test_it_stays_near_its_line() -> None:
 
 def test_while_it_coasts_nothing_thrusts() -> None:
     robot = InTank(fleet(behaviour=Trial(x_m=1.5, y_m=1.0)), (1.0, 1.0, 0.0), seed=4)
-    assert robot.until(lambda: robot.swimmer.task.progress is not None, 5.0)
-    assert robot.until(lambda: robot.swimmer.task.progress.stage.coasts, 15.0)
+    assert robot.until(lambda: robot.swimmer.active.progress is not None, 5.0)
+    assert robot.until(lambda: robot.swimmer.active.progress.stage.coasts, 15.0)
     robot.step()
     assert robot.wrench == (0.0, 0.0, 0.0) and robot.body.speed[0] > 0.1
 

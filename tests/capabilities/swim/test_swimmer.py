@@ -111,7 +111,7 @@ def test_it_gives_way_while_its_camera_turns_back_from_landmarks() -> None:
     one.step(heard=[letter])
     _, left_n, _ = one.wrench
     assert left_n > 0.3
-    assert one.swimmer.task.progress is None
+    assert one.swimmer.active.progress is None
 
 
 def test_it_stands_still_while_it_looks_for_landmarks() -> None:
@@ -228,7 +228,7 @@ def test_turn_is_turned_on_the_spot() -> None:
 def test_orbit_goes_round_and_faces_the_middle() -> None:
     middle = np.array([1.3, 0.9])
     one = InTank(fleet(pose=replace(POSE, yaw_deg=0.0), behaviour=Orbit(x_m=1.3, y_m=0.9, radius_m=0.3)))
-    assert one.until(lambda: one.swimmer.task.progress is not None, 8.0)
+    assert one.until(lambda: one.swimmer.active.progress is not None, 8.0)
     one.run(4.0)
     arm = one.body.at[:2] - middle
     assert np.hypot(*arm) == pytest.approx(0.3, abs=0.03)
