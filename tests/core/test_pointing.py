@@ -16,7 +16,7 @@ from agent.core.ranging.pointing import (
     THERE_US,
     Pointing,
     Search,
-    ServoPath,
+    ServoModel,
     reachable,
 )
 
@@ -67,7 +67,7 @@ START_NS = 10**18
 
 def test_it_is_a_lagging_motor_that_turns_no_faster_than_it_can() -> None:
     told = np.concatenate([[1500.0, 1500.0, 2100.0, 2100.0, 2100.0], 2100.0 - 20.0 * np.arange(12), [1400.0] * 6])
-    path, motor, t, jumps = ServoPath(), 1500.0, 0, False
+    path, motor, t, jumps = ServoModel(), 1500.0, 0, False
     path.begin((1500.0, 1500.0))
     for k, us in enumerate(told):
         path.add(START_NS + k * STEP_NS, (float(us), 1500.0))
@@ -83,7 +83,7 @@ def test_it_is_a_lagging_motor_that_turns_no_faster_than_it_can() -> None:
 
 
 def test_it_knows_the_last_seconds() -> None:
-    path = ServoPath()
+    path = ServoModel()
     assert path.at(START_NS) is None
     path.begin((1500, 1500))
     assert path.at(START_NS) is None, "nothing was told yet"
@@ -95,7 +95,7 @@ def test_it_knows_the_last_seconds() -> None:
 
 
 def test_one_that_turns_on_after_a_jump_is_known_again() -> None:
-    path, known_from_ns = ServoPath(), None
+    path, known_from_ns = ServoModel(), None
     path.begin((1500.0, 1500.0))
     for k in range(60):
         path.add(START_NS + k * STEP_NS, (2000.0 + 33.0 * k, 1500.0))  # 60 degrees a second: never where it is told

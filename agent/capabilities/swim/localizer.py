@@ -39,7 +39,7 @@ from agent.core.linear_algebra import minus, plus, times
 from agent.core.messages import Vector, Whereabouts
 from agent.core.ranging.camera_model import BodyFit, Calibration, CameraFit, gimbal_deg
 from agent.core.ranging.fix import MEMORY_S, Fix, OwnPose, carried, kappa, longest_gap_s
-from agent.core.ranging.pointing import APPROACH_NS, LAG_NS, PLAY_US, ServoPath, Stand
+from agent.core.ranging.pointing import APPROACH_NS, LAG_NS, PLAY_US, ServoModel, Stand
 from agent.core.step_io import Flow, SeenTags, Telemetry
 from agent.core.step_transaction import Revertible
 
@@ -109,7 +109,7 @@ class Gyro(Revertible):
 # Tags tell the camera's heading whatever the gimbal does, so a frame that was exposed while the gimbal settles says
 # as well as any where the robot is, and its yaw as well as the gimbal is known. Servos do not say where they are:
 # what counts is when they were told (pointing.Pointing), first to a little below the goal, then to the goal; or each
-# step to another angle (pointing.ServoPath).
+# step to another angle (pointing.ServoModel).
 
 TURNS = 16  # that are remembered: more than a key frame's four seconds hold
 REST_NS = 250_000_000  # after the last leg, which is short and takes up the play. (A sweep waits longer, for the body.)
@@ -130,13 +130,13 @@ class Turn(NamedTuple):
     goal_us: tuple[int, int]
 
 
-class GimbalLog(Revertible):
+class GimbalHistory(Revertible):
     """Of one robot's camera."""
 
     def __init__(self, camera: CameraFit, body: Body) -> None:
         self._camera, self._body = camera, body
         self._turns: deque[Turn] = deque(maxlen=TURNS)
-        self._path, self._tracked = ServoPath(), False
+        self._path, self._tracked = ServoModel(), False
 
     def add(self, camera: CameraView) -> None:
         """Take note of where it is told to turn now."""

@@ -26,7 +26,7 @@ from agent.capabilities.swim.localizer import (
     UNSURE_DEG,
     UNSURE_M,
     Carriage,
-    GimbalLog,
+    GimbalHistory,
     Gyro,
     Localizer,
     adrift,
@@ -273,7 +273,7 @@ class Swimmer(Revertible):
         )
         self._at_landmarks = False
         self._swept_ns = 0  # when a sweep was last seen under way
-        self.gimbal = GimbalLog(calibration.camera, fleet.body)
+        self.gimbal = GimbalHistory(calibration.camera, fleet.body)
         self._lost_since_ns: int | None = None
         self.here: Belief | None = None  # what it steers by
         self.phase: SwimPhase = "lost"

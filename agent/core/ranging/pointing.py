@@ -146,7 +146,7 @@ class Leg(NamedTuple):
     jumps_until_ns: int = 0  # a jump goes at full speed: until then a swift servo is there long before a slow one
 
 
-class ServoPath(Revertible):
+class ServoModel(Revertible):
     """The set-points of the last seconds, and where the servos stand by them."""
 
     def __init__(self) -> None:

@@ -16,7 +16,7 @@ from agent.capabilities.swim.localizer import (
     UNSURE_M,
     Carriage,
     Gimbal,
-    GimbalLog,
+    GimbalHistory,
     Gyro,
     Localizer,
     Rate,
@@ -84,7 +84,7 @@ PLAY_DEG = PLAY_US / BODY.servo_us_per_deg
 @pytest.fixture
 def turned():
     """(log, pointing): to 0 degrees and three seconds later to 30, each noted as late as may be."""
-    pointing, log = Pointing(), GimbalLog(CAMERA, BODY)
+    pointing, log = Pointing(), GimbalHistory(CAMERA, BODY)
     for k, pan_deg in enumerate((0.0, 30.0)):
         pointing.aim(servos_us(CAMERA, BODY, pan_deg, 0.0), START_NS + 3 * k * SECOND)
         log.add(pointing)
