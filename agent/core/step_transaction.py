@@ -36,7 +36,7 @@ class Broken(NamedTuple):
     now_ns: int
 
 
-class Net:
+class StepTransaction:
     """What one robot remembers of steps that broke. It is not Revertible: no savepoint undoes it."""
 
     def __init__(self) -> None:

@@ -1,7 +1,7 @@
 """Agent.step: the order of work and nothing else. No clock, no random numbers, no thread, no I/O.
 
 The same inputs at the same times give the same bytes, which is what replay relies on. A step is a transaction
-(step_transaction.Net): one that raises is undone, and done again without what broke it.
+(step_transaction.StepTransaction): one that raises is undone, and done again without what broke it.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from agent.core.messages import SCHEMA
 from agent.core.ranging.camera_model import Calibration
 from agent.core.status import Status
 from agent.core.step_io import Inputs, Outputs, SetPoint
-from agent.core.step_transaction import Net, Revertible
+from agent.core.step_transaction import StepTransaction, Revertible
 from agent.robot.arbiter import Arbiter, Equipment
 from agent.robot.inbox import Inbox
 from agent.robot.operator import Operator
@@ -45,7 +45,11 @@ class Agent(Revertible):
     ) -> None:
         """schema: of the messages that are taken in; an older one is for replay alone."""
         self._fleet, self._robot = fleet, fleet.robot[name]
-        self.attitude, self.status, self.net = AttitudeLog(), Status(fleet.fleet, name, incarnation), Net()
+        self.attitude, self.status, self.transaction = (
+            AttitudeLog(),
+            Status(fleet.fleet, name, incarnation),
+            StepTransaction(),
+        )
         context = Context(fleet, name, calibration, incarnation, self.attitude, self.status.log, DAYLIGHT, MOORED)
         self.equipment = Equipment(context)
         self.capabilities, self._light = self.equipment.by_name, self.equipment.light
@@ -53,7 +57,7 @@ class Agent(Revertible):
         self.measuring = Targets(context._replace(light=self._light, source=self.equipment.source), self.target_search)
         self.targets = self.measuring.all
         self.inbox = Inbox(self.targets, fleet.tank, common(fleet), schema, self.equipment)
-        self.telemetry = Telemetry(self.targets, self.status, self.attitude, self.equipment, self.net)
+        self.telemetry = Telemetry(self.targets, self.status, self.attitude, self.equipment, self.transaction)
         self.operator = Operator(fleet, name, incarnation, self.equipment, self.status.log)
         self.arbiter = Arbiter()
         targets = self.measuring.views(None, (), 0)
@@ -66,8 +70,8 @@ class Agent(Revertible):
 
         `now_ns` never decreases and is later than every time stamp in `inputs`.
         """
-        outputs = self.net.step(self, self._step, inputs, now_ns)
-        if self.net.holds:
+        outputs = self.transaction.step(self, self._step, inputs, now_ns)
+        if self.transaction.holds:
             outputs = msgspec.structs.replace(outputs, state=self.telemetry.last(self.measuring.current, now_ns))
         return self.operator.complete(outputs, inputs.orders, now_ns)
 
@@ -134,7 +138,7 @@ class Agent(Revertible):
 
     def _faults(self, now_ns: int) -> tuple[str, ...]:
         """What is wrong by the kernel's own account."""
-        ours = self.net.fault(now_ns)
+        ours = self.transaction.fault(now_ns)
         return (*self.inbox.faults(now_ns), *self.equipment.faults(now_ns), *(() if ours is None else (ours,)))
 
     def _set_point(self, body: BodyAct, lamp: LampAct | None, situation: Situation) -> SetPoint:

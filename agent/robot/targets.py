@@ -34,7 +34,7 @@ from agent.core.ranging.fix import EXACT, Fix, NoRange, OwnPose, locate
 from agent.core.ranging.sweep import Measurement, Rejected
 from agent.core.status import Status, sweep_outcome
 from agent.core.step_io import SweepOutcome
-from agent.core.step_transaction import Net, Revertible
+from agent.core.step_transaction import StepTransaction, Revertible
 from agent.core.target_state import TargetState
 from agent.core.topics import next_due_ns
 from agent.robot.target_search import TargetSearch, TargetScheduler
@@ -246,10 +246,10 @@ class Telemetry(Revertible):
         status: Status,
         attitude: AttitudeLog,
         equipment: Capability,
-        net: Net,
+        transaction: StepTransaction,
     ) -> None:
         self._targets, self._status, self._attitude = tuple(targets.values()), status, attitude
-        self._equipment, self._net = equipment, net
+        self._equipment, self._transaction = equipment, transaction
         self._period_ns = STATE_NS // len(targets)
         self._due_ns = self._shown = 0
 
@@ -268,7 +268,7 @@ class Telemetry(Revertible):
         target = self._targets[self._shown % len(self._targets)]
         self._shown += 1
         state = self._status.state(target, dict(refused), self._attitude, gimbal_deg, now_ns)
-        mode: Mode = "running" if self._net.fault(now_ns) is None else "degraded"
+        mode: Mode = "running" if self._transaction.fault(now_ns) is None else "degraded"
         parts = self._equipment.telemetry(now_ns)
         return target.show(replace(state, mode=mode, signed=signed, ordered=ordered, **parts))
 
@@ -277,5 +277,5 @@ class Telemetry(Revertible):
         if now_ns < self._due_ns or target.last_state is None:
             return None
         self._due_ns = next_due_ns(self._due_ns, self._period_ns, now_ns)
-        last, why = target.last_state, self._net.fault(now_ns) or ""
+        last, why = target.last_state, self._transaction.fault(now_ns) or ""
         return target.show(replace(last, seq=last.seq + 1, sent_ns=now_ns, mode="degraded", faults=(why,)))

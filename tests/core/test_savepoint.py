@@ -18,7 +18,7 @@ from agent.capabilities.swim.tag_fix import Map
 from agent.core.attitude import AttitudeLog
 from agent.core.config import Fleet, Navigation, Search
 from agent.core.messages import Explain, State
-from agent.core.step_transaction import Net, Revertible, Savepoint
+from agent.core.step_transaction import StepTransaction, Revertible, Savepoint
 from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, draw_scene, fleet_of
 from agent.robot.step import Agent
 from tests.capabilities.light.dark_fish import DarkFish
@@ -29,7 +29,7 @@ from tests.core.swarm_on_hand import Swarm
 
 NUMBERS = (bool, int, float, str, bytes, NoneType, Enum, type, msgspec.UnsetType)
 WRITTEN_ONCE = (Fleet, Map, State, Explain, Ahead)  # whose dicts are made with them, and never written again
-APART = (Net,)  # counts the steps that broke, so that it outlasts them
+APART = (StepTransaction,)  # counts the steps that broke, so that it outlasts them
 LOOKS = 4  # at each robot, a second apart
 
 

@@ -67,7 +67,7 @@ def test_one_message_that_breaks_a_step_is_left_out_and_the_others_count(swarm, 
     state = swarm.state("r1")
     assert state.mode == "degraded"
     assert any("KeyError" in fault and "r2" in fault for fault in state.faults)
-    assert agent.net.fault(now_ns + 60 * 10**9) is None
+    assert agent.transaction.fault(now_ns + 60 * 10**9) is None
 
 
 def test_a_payload_that_broke_a_step_is_not_taken_in_again(swarm, monkeypatch) -> None:

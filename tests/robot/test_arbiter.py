@@ -125,4 +125,4 @@ def test_who_has_what_goes_back_with_a_step_that_breaks(monkeypatch) -> None:
     held = dict(one.agent.arbiter.held)
     monkeypatch.setattr(one.agent.measuring, "say", lambda *about: 1 / 0)
     one.step()
-    assert one.agent.net.holds and one.agent.arbiter.held == held
+    assert one.agent.transaction.holds and one.agent.arbiter.held == held

@@ -198,10 +198,10 @@ def test_an_order_that_breaks_a_step_is_left_out_and_the_others_count(robot, mon
     assert "broke" in outputs.answers[1].why
     assert outputs.motors == "off" and outputs.set_point.depth_m == 0.2
     assert robot.agent.operator.overrides.look_deg is None
-    assert not robot.agent.net.holds
-    assert "KeyError" in robot.agent.net.fault(robot.now_ns) and "by a message of ann" in robot.agent.net.fault(
+    assert not robot.agent.transaction.holds
+    assert "KeyError" in robot.agent.transaction.fault(
         robot.now_ns
-    )
+    ) and "by a message of ann" in robot.agent.transaction.fault(robot.now_ns)
     assert not robot.step(orders[1]).answers[0].ok  # and is not taken in again
 
 
@@ -211,7 +211,7 @@ def test_a_stop_outlives_a_kernel_that_is_broken(robot, monkeypatch) -> None:
 
     monkeypatch.setattr(Targets, "iterate", broken)
     outputs = robot.step(robot.order("hold", {"depth_m": 0.2}), robot.order("stop", console="bob"))
-    assert robot.agent.net.holds
+    assert robot.agent.transaction.holds
     assert outputs.motors == "off" and [answer.ok for answer in outputs.answers] == [False, True]
     for _ in range(SURFACE_AFTER):
         robot.step()
@@ -229,7 +229,7 @@ def test_a_stop_that_breaks_the_step_is_one_still(robot, monkeypatch) -> None:
     note = log.note
 
     def broken(level, text, now_ns) -> None:
-        if "orders: stop" in text and not robot.agent.net.holds and not calls:
+        if "orders: stop" in text and not robot.agent.transaction.holds and not calls:
             calls.append(text)
             raise KeyError(text)
         note(level, text, now_ns)
@@ -244,4 +244,4 @@ def test_a_stop_goes_through_where_carrying_it_out_breaks(robot, monkeypatch) ->
     breaks(monkeypatch, Stop)
     outputs = robot.step(robot.order("stop"), robot.order("hold", {"depth_m": 0.2}))
     assert outputs.motors == "off" and [answer.ok for answer in outputs.answers] == [True, True]
-    assert robot.agent.net.fault(robot.now_ns) is not None
+    assert robot.agent.transaction.fault(robot.now_ns) is not None

@@ -49,12 +49,12 @@ def test_a_step_that_raises_is_undone(swum, monkeypatch) -> None:
     with monkeypatch.context() as patch:
         patch.setattr(Agent, "_set_point", broken)
         held = agent.step(inputs, now_ns).set_point
-    assert agent.net.holds
+    assert agent.transaction.holds
     assert told[59][2].set_point.force_n != (0.0, 0.0), "it was on its way"
     assert (*held.force_n, held.yaw_moment_nm) == (0.0, 0.0, 0.0), "and does not go on blindly"
     assert memory(swimmer_of(agent.capabilities)) == before and swimmer_of(agent.capabilities).localizer._ring is ring
     agent.step(inputs, now_ns + STEP_NS)
-    assert not agent.net.holds and memory(swimmer_of(agent.capabilities)) != before
+    assert not agent.transaction.holds and memory(swimmer_of(agent.capabilities)) != before
 
 
 NUMBERS = [float("nan"), float("inf"), -1e300, 1e150, 1e20, 1e4]
@@ -85,7 +85,7 @@ def test_numbers_that_cannot_be_are_refused(swum, known, number) -> None:
     flow = Flow(t_ns=frame.t_ns, since_ns=frame.t_ns - 100_000_000, pairs=pairs)
     odd = replace(frame, tags=tuple(damaged(each, number) for each in frame.tags))
     agent.step(replace(inputs, landmarks=(odd,), flow=(flow,)), now_ns)
-    assert place.refused and agent.net.fault(now_ns) is None
+    assert place.refused and agent.transaction.fault(now_ns) is None
     after = place.at(now_ns)
     assert (after is not None) is known
     if known:
@@ -96,7 +96,7 @@ def test_numbers_that_cannot_be_are_refused(swum, known, number) -> None:
     # What is sound in the same frame still counts.
     later = replace(frame, tags=(damaged(frame.tags[0], number), *frame.tags[1:]), t_ns=frame.t_ns + 1)
     agent.step(replace(inputs, telemetry=(), landmarks=(later,)), now_ns + 1)
-    assert not place.refused and agent.net.fault(now_ns + 1) is None
+    assert not place.refused and agent.transaction.fault(now_ns + 1) is None
     assert place.at(now_ns).covariance[0] < (1.0 if before is None else after.covariance[0])
 
 
@@ -133,7 +133,7 @@ def test_frames_come_late_twice_or_in_another_order(swum) -> None:
             agent.step(replace(inputs, landmarks=rest), now_ns)
         for k, batch in enumerate(batches, start=1):
             agent.step(replace(inputs, telemetry=(telemetry(now_ns, DEPTH_M),), landmarks=batch), now_ns + k)
-            assert agent.net.fault(now_ns + k) is None
+            assert agent.transaction.fault(now_ns + k) is None
         ring = swimmer_of(agent.capabilities).localizer._ring
         return ring.at(now_ns), ring
 

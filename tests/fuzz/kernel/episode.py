@@ -35,7 +35,9 @@ class Plan(NamedTuple):
     mouths: tuple[str, ...]  # whose words the lies seem to be
     silent: bool  # those robots say nothing else meanwhile
     quiet: bool  # afterwards there are no lies, and all neighbours must be heard again
-    net: bool = False  # the net is under the step, as on a robot; without it an exception shows where it came from
+    transaction: bool = (
+        False  # the net is under the step, as on a robot; without it an exception shows where it came from
+    )
 
     @property
     def alone(self) -> bool:
@@ -82,7 +84,7 @@ def play(plan: Plan, tell: Tell, told: list[tuple[int, str, bytes]] | None = Non
         slow_s = stopwatch.slow_s(time.perf_counter() - started_s)
         if slow_s is not None and len(lies) <= PASSED * len(plan.mouths) * plan.scene.targets:
             yield step, Broken("slow", f"{slow_s:.2f} s for a step that heard {len(heard)} messages")
-        if (fault := robot.agent.net.fault(now_ns)) is not None:
+        if (fault := robot.agent.transaction.fault(now_ns)) is not None:
             yield step, Broken("net", fault)
             return
         for broken in watch.check(outputs, step):
@@ -94,8 +96,8 @@ def play(plan: Plan, tell: Tell, told: list[tuple[int, str, bytes]] | None = Non
 def woken(plan: Plan) -> Robot:
     """The robot of a plan as it begins."""
     robot = wake(record(plan.scene), plan.start, plan.victim)
-    if not plan.net:
-        robot.agent.net.step = bare  # type: ignore[method-assign]
+    if not plan.transaction:
+        robot.agent.transaction.step = bare  # type: ignore[method-assign]
     return robot
 
 

@@ -38,8 +38,8 @@ def planned(scene: Scene, rng: Random) -> Plan:
     others = tuple(name for name in ROBOTS if name != victim)
     mouths = (rng.choice(others),) if rng.random() < 0.6 else others
     starts = [step for second in SAVED_S if (step := round(second * 1e9) // STEP_NS) < scene.steps]
-    silent, quiet, net = rng.random() < 0.5, rng.random() < 0.3, rng.random() < 0.1
-    return Plan(scene, victim, rng.choice(starts), rng.choice(STEPS), mouths, silent, quiet, net)
+    silent, quiet, transaction = rng.random() < 0.5, rng.random() < 0.3, rng.random() < 0.1
+    return Plan(scene, victim, rng.choice(starts), rng.choice(STEPS), mouths, silent, quiet, transaction)
 
 
 class Fuzzer:
