@@ -5,7 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from agent.capabilities.swim.pursuit import LOST_NS, PERIOD_S, SIGMAS, SWIFTEST_DEG_S, Gaze, across, own_part, triangle
+from agent.capabilities.swim.pursuit import (
+    LOST_NS,
+    PERIOD_S,
+    SIGMAS,
+    SWIFTEST_DEG_S,
+    GimbalTrack,
+    across,
+    own_part,
+    triangle,
+)
 
 S, START_NS = 1_000_000_000, 10**18
 
@@ -17,7 +26,7 @@ def test_the_triangle() -> None:
 
 def swings(half_deg: float, seconds: float) -> list[float]:
     """Each step of 50 ms after it was lost."""
-    gaze, found = Gaze(0.0), []
+    gaze, found = GimbalTrack(0.0), []
     gaze.saw(START_NS)
     for step in range(round((seconds + LOST_NS * 1e-9) * 20)):
         now_ns = START_NS + step * S // 20
@@ -35,7 +44,7 @@ def test_it_goes_to_and_fro_and_no_faster_than_frames_and_tags_allow() -> None:
 
 
 def test_how_long_it_was_lost_counts_anew_after_a_look_elsewhere() -> None:
-    gaze = Gaze(0.25)
+    gaze = GimbalTrack(0.25)
     gaze.saw(START_NS)
     gaze.swing(15.0, START_NS)
     gaze.saw(START_NS - S)

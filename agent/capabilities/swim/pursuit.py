@@ -53,7 +53,7 @@ SIGMAS = 2.0  # to either side
 SHOWN_DEG = 7.0  # to either side of the gaze, of a view of 30 degrees and a target that is whole in it
 
 
-class Gaze(Revertible):
+class GimbalTrack(Revertible):
     """Of one robot. share: of a period, by which its triangle is ahead of others'."""
 
     def __init__(self, share: float) -> None:
@@ -181,7 +181,7 @@ class Pursuit(Revertible):
         self._fleet, self._calibration, self._swimmer, self._attitude = fleet, calibration, swimmer, attitude
         self._swims = {target: dynamics(fleet.target[target]) for target in pursued(fleet)}
         share = robots.index(name) / len(robots)
-        self._gaze, self._scan = Gaze(share), Scan(share)
+        self._gaze, self._scan = GimbalTrack(share), Scan(share)
         self._newest: Sighting | None = None  # that showed the target since the last iteration
         self._lens: int | None = None  # where it is sharp; None: where landmarks are
         self._told: int | None = None  # the lens

@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 from agent.capabilities.swim.landmarks import Marker, normal
 from agent.capabilities.swim.projection import (
-    Gaze,
+    GimbalTrack,
     Seen,
     TagNoise,
     Theta,
@@ -236,7 +236,7 @@ def _used(of: View, known: Map, tags: Sequence[SeenTag], theta: Theta) -> list[_
     return used
 
 
-def _expected(of: View, at: Gaze, marker: Marker) -> tuple[Seen, ...] | None:
+def _expected(of: View, at: GimbalTrack, marker: Marker) -> tuple[Seen, ...] | None:
     """The four corners as they should be seen; None where one is not before the camera."""
     expected: list[Seen] = []
     for corner in marker.corners_m:
