@@ -8,7 +8,7 @@ from typing import NamedTuple
 from msgspec import UNSET
 
 from agent.core.attitude import AttitudeLog
-from agent.core.estimation.interface import Mailbox
+from agent.core.estimation.interface import EstimateCache
 from agent.core.messages import MAX_TEXT, Level, LogLine, NeighbourState, State, Symmetric
 from agent.core.ranging.fix import Fix, NoRange
 from agent.core.ranging.sweep import Measurement, Rejected
@@ -96,7 +96,7 @@ class Status(Revertible):
             rule=update.rule if update else "",
             explain=update.explain if update else None,
             neighbours=tuple(
-                neighbour_state(target.mailbox, name, name in used, now_ns) for name in target.mailbox.senders
+                neighbour_state(target.cache, name, name in used, now_ns) for name in target.cache.senders
             ),
             depth_m=telemetry.depth_m if telemetry else None,
             roll_deg=telemetry.roll_deg if telemetry else None,
@@ -112,8 +112,8 @@ class Status(Revertible):
         )
 
 
-def neighbour_state(mailbox: Mailbox, name: str, used: bool, now_ns: int) -> NeighbourState:
-    sender, age_ns = mailbox.senders[name], mailbox.age_ns(name, now_ns)
+def neighbour_state(cache: EstimateCache, name: str, used: bool, now_ns: int) -> NeighbourState:
+    sender, age_ns = cache.senders[name], cache.age_ns(name, now_ns)
     return NeighbourState(
         robot=name,
         age_s=None if age_ns is None else age_ns * 1e-9,

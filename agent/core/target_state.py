@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 from agent.core.config import Fleet
 from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import R_FLOOR_M, inside, widest_m2
-from agent.core.estimation.interface import NOTHING, Bearing, Estimator, Mailbox, Posterior, Prior, Update
+from agent.core.estimation.interface import NOTHING, Bearing, Estimator, EstimateCache, Posterior, Prior, Update
 from agent.core.estimation.protocols import dynamics, estimator
 from agent.core.estimation.track import Dynamics, growth, outer
 from agent.core.linear_algebra import IDENTITY, apply, inner, invert, minus, plus, times, trace
@@ -47,7 +47,7 @@ class TargetState(Revertible):
         self._common, self._tank_m = common, fleet.tank.size_m
         self.name = target
         self.ball = fleet.target[target]
-        self.mailbox = Mailbox(fleet.fleet, robot, target, fleet.robot[robot].neighbours)
+        self.cache = EstimateCache(fleet.fleet, robot, target, fleet.robot[robot].neighbours)
         self.estimator: Estimator = estimator(fleet, robot, target, incarnation)
         self._moves = dynamics(self.ball)
         self._validity_ns = round(fleet.estimation.validity_s * 1e9)
@@ -82,11 +82,11 @@ class TargetState(Revertible):
 
     def catch_up(self, now_ns: int) -> None:
         """Take over the iteration index of neighbours that are ahead."""
-        self.estimator.adopt(self.mailbox.swarm_t(now_ns, self._validity_ns))
+        self.estimator.adopt(self.cache.swarm_t(now_ns, self._validity_ns))
 
     def estimate(self, now_ns: int) -> TargetEstimate | None:
         """The posterior, to swim by. To be asked in each step: it takes note of the robots that see the target."""
-        if self.estimator.valid or self.mailbox.usable(now_ns, self._validity_ns):
+        if self.estimator.valid or self.cache.usable(now_ns, self._validity_ns):
             self._seen_ns = now_ns
         believed = self.estimator.posterior
         if believed is None or self._seen_ns is None:
@@ -104,9 +104,9 @@ class TargetState(Revertible):
         """One iteration of the protocol. Returns whether `knows` is news: it has had its value for HELD iterations, and
         the last news was another one."""
         if self.prior is None and self.bearing is not None and isinstance(self.estimator, Evidence):
-            self.update = self.estimator.tick(self.bearing, self.mailbox, now_ns)
+            self.update = self.estimator.tick(self.bearing, self.cache, now_ns)
         else:
-            self.update = self.estimator.tick(self.prior, self.mailbox, now_ns)
+            self.update = self.estimator.tick(self.prior, self.cache, now_ns)
         self.prior = self.bearing = None
         knew, self.knows = self.knows, "blind"
         if self.estimator.valid:

@@ -324,7 +324,7 @@ class Addressed(Protocol):
 M = TypeVar("M", bound=Addressed)
 
 
-class Letter(NamedTuple, Generic[M]):
+class CachedMessage(NamedTuple, Generic[M]):
     """A believed message with its time of arrival on this robot's clock."""
 
     message: M
@@ -337,13 +337,13 @@ class Sender(NamedTuple, Generic[M]):
 
     heard: int = 0
     gaps: int = 0
-    newest: Letter[M] | None = None
+    newest: CachedMessage[M] | None = None
     before: tuple[int, int] | None = None  # the incarnation before, and when it was last heard
     fallen: tuple[int, int] = (0, 0)  # messages in a row that went back, and the number of the last of them
     doubled_ns: int | None = None  # when two incarnations last took turns
 
 
-class Letters(Revertible, Generic[M]):
+class MessageCache(Revertible, Generic[M]):
     """The newest message of each neighbour; refuses what cannot be its next one."""
 
     def __init__(self, fleet: str, me: str, neighbours: tuple[str, ...]) -> None:
@@ -351,7 +351,7 @@ class Letters(Revertible, Generic[M]):
         self.senders: dict[str, Sender[M]] = {name: Sender() for name in sorted(neighbours)}
         self._transit: dict[str, Transit] = {name: Transit() for name in self.senders}
 
-    def put(self, src: str, message: M, arrived_ns: int) -> Letter[M]:
+    def put(self, src: str, message: M, arrived_ns: int) -> CachedMessage[M]:
         """Keep a decoded message that came on the key of `src`. Raises Refusal when it does not belong there."""
         if src not in self.senders:
             raise Refusal("address", "not a neighbour")
@@ -363,7 +363,7 @@ class Letters(Revertible, Generic[M]):
             raise Refusal("clock", "its clock is more than three hours ahead of ours; set the clocks")
         sender = self._numbered(src, message, arrived_ns)
         late_ns = self._transit[src].late_ns(arrived_ns - message.sent_ns, arrived_ns)
-        letter = Letter(message, arrived_ns, late_ns)
+        letter = CachedMessage(message, arrived_ns, late_ns)
         self.senders[src] = sender._replace(heard=sender.heard + 1, newest=letter, fallen=(0, 0))
         return letter
 

@@ -56,7 +56,7 @@ class Inbox(Revertible):
     def faults(self, now_ns: int) -> tuple[str, ...]:
         """What is wrong with neighbours, and for people to put right."""
         self._faults = {about: held for about, held in self._faults.items() if now_ns - held[1] <= FAULT_NS}
-        doubled = {name for target in self._targets.values() for name in target.mailbox.doubled(now_ns)}
+        doubled = {name for target in self._targets.values() for name in target.cache.doubled(now_ns)}
         two = (f"two robots call themselves {name}; give each a name of its own" for name in sorted(doubled))
         return (*(text for text, _ in self._faults.values()), *two)
 
@@ -75,7 +75,7 @@ class Inbox(Revertible):
         if target is None:
             known = ", ".join(self._targets)
             raise Refusal("target", f"target '{estimate.target}' is not in our fleet file, which has {known}")
-        letter = target.mailbox.put(item.src, estimate, item.arrived_ns)
+        letter = target.cache.put(item.src, estimate, item.arrived_ns)
         for kind in target.estimator.hear(letter):
             self._count(kind, 1, item.src, "part of a message", status, now_ns)
 

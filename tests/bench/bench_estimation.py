@@ -10,7 +10,7 @@ from typing import Any
 from agent.core.codec import decode, encode
 from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import Bounds
-from agent.core.estimation.interface import Estimator, Mailbox, Prior
+from agent.core.estimation.interface import Estimator, EstimateCache, Prior
 from agent.core.estimation.protocols import Metropolis, Paper
 from agent.core.messages import Epoch, Estimate
 from tests.sample_messages import estimate
@@ -50,8 +50,8 @@ def _measure(kind: str, neighbours: int) -> tuple[float, float]:
     names, random = [f"r{k}" for k in range(neighbours + 1)], Random(1)
     robots = {name: _robot(kind, name, names) for name in names}
     me, *others = names
-    box = Mailbox("tank", me, "ball", tuple(others))
-    boxes = {name: Mailbox("tank", name, "ball", (me,)) for name in others}
+    box = EstimateCache("tank", me, "ball", tuple(others))
+    boxes = {name: EstimateCache("tank", name, "ball", (me,)) for name in others}
     took_us, sizes, now_ns = [], [], SECOND_NS
     for seq in range(ITERATIONS):
         letters = [(name, decode(_say(robots[name], name, me, seq, now_ns, sizes), Estimate)) for name in others]

@@ -156,8 +156,8 @@ def test_what_swimmers_that_survey_say_is_believed() -> None:
         heard |= {each.topic for inputs in swimmers.inputs.values() for each in inputs.heard}
     assert {"near", "claim"} <= heard
     assert [agent.inbox.refused for agent in swimmers.agents.values()] == [{}] * 3
-    claims = [agent.capabilities["survey"].exchange.letters for agent in swimmers.agents.values()]
-    assert all(sender.newest for letters in claims for sender in letters.senders.values())
+    claims = [agent.capabilities["survey"].exchange.cache for agent in swimmers.agents.values()]
+    assert all(sender.newest for cache in claims for sender in cache.senders.values())
 
 
 def test_swimmers_begin_to_know_the_floor_and_wrong_blocks_are_among_what_they_see() -> None:

@@ -67,7 +67,7 @@ def test_a_planted_fault_is_found_made_small_and_kept(monkeypatch: pytest.Monkey
 
     def step(self: Robot, heard: tuple) -> object:
         outputs = sound(self, heard)
-        said = [sender.newest.message for sender in mailbox(self).senders.values() if sender.newest]
+        said = [sender.newest.message for sender in cache(self).senders.values() if sender.newest]
         assert_covariances(said)
         return outputs
 
@@ -86,8 +86,8 @@ def test_a_planted_fault_is_found_made_small_and_kept(monkeypatch: pytest.Monkey
     assert not list(play(case["plan"], again(case["told"])))
 
 
-def mailbox(robot: Robot):
-    return robot.agent.targets["ball"].mailbox
+def cache(robot: Robot):
+    return robot.agent.targets["ball"].cache
 
 
 def assert_covariances(said: list[Estimate]) -> None:

@@ -154,7 +154,7 @@ def test_an_unknown_target_is_refused_with_a_reason() -> None:
     assert [line.text for line in outputs.log] == [
         "refused from r2 (target): target 'fish' is not in our fleet file, which has ball, buoy; 1 so far"
     ]
-    assert {name: p.mailbox.senders["r2"].heard for name, p in agent.targets.items()} == {"ball": 0, "buoy": 1}
+    assert {name: p.cache.senders["r2"].heard for name, p in agent.targets.items()} == {"ball": 0, "buoy": 1}
 
 
 def test_the_order_of_messages_counts_for_each_target_alone() -> None:

@@ -25,7 +25,7 @@ from agent.core.codec import Refusal
 from agent.core.config import Fleet
 from agent.core.step_transaction import Revertible
 from agent.core.topics import LIGHT, next_due_ns
-from agent.core.trust import Letters
+from agent.core.trust import MessageCache
 
 SILENT_NS = 3_000_000_000  # who was not heard for so long is not waited for
 GONE_NS = 10_000_000_000  # whose lamp is dark, or as it was: nobody who is there is silent for so long
@@ -286,7 +286,7 @@ class Talk(Revertible):
         assert fleet.lighting is not None
         self._fleet, self._tank_m, self._guard_ns = fleet.fleet, fleet.tank.size_m, round(fleet.lighting.guard_s * 1e9)
         self.party = Party(name, incarnation, tuple(sorted(fleet.robot[name].neighbours)))
-        self.letters = Letters[Light](fleet.fleet, name, fleet.robot[name].neighbours)
+        self.cache = MessageCache[Light](fleet.fleet, name, fleet.robot[name].neighbours)
         self._seq = 0
         self._due_ns = 0
         self._before: Baseline | None = None  # of the sweep that runs, or is judged
@@ -296,7 +296,7 @@ class Talk(Revertible):
         """A decoded message that came on the key of `src`. Raises Refusal where it cannot be so."""
         if (fault := light_fault(said, self._tank_m)) is not None:
             raise Refusal("content", fault)
-        letter = self.letters.put(src, said, arrived_ns)
+        letter = self.cache.put(src, said, arrived_ns)
         self.party = hear(self.party, said, arrived_ns - letter.late_ns)
 
     def tick(self, now_ns: int) -> None:
@@ -350,7 +350,7 @@ class Talk(Revertible):
         """To each neighbour: in each step while there is a lease, else ten times a second. dark: why the own lamp does
         not burn for the lease that it obeys."""
         at_leisure = self.party.phase == "free"
-        if not self.letters.senders or (at_leisure and now_ns < self._due_ns):
+        if not self.cache.senders or (at_leisure and now_ns < self._due_ns):
             return ()
         self._due_ns = next_due_ns(self._due_ns, SLOW_NS, now_ns)
         self._seq += 1
@@ -364,7 +364,7 @@ class Talk(Revertible):
             lamp=own,
             lease=said_lease(self.party, now_ns) or UNSET,
         )
-        return tuple(self._to(said, neighbour, dark) for neighbour in self.letters.senders)
+        return tuple(self._to(said, neighbour, dark) for neighbour in self.cache.senders)
 
     def _to(self, said: Light, neighbour: str, dark: Why) -> Light:
         word = self.party.word(neighbour)

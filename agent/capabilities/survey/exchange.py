@@ -19,7 +19,7 @@ from agent.core.capability_messages import SHORT_MASK, Claim, Frame, Has, Keyfra
 from agent.core.codec import Refusal
 from agent.core.config import Fleet
 from agent.core.step_transaction import Revertible
-from agent.core.trust import CLOCKS_NS, Letters
+from agent.core.trust import CLOCKS_NS, MessageCache
 
 SILENT_NS = 3_000_000_000  # by then an origin no longer speaks for itself
 CLAIM_NS = 500_000_000  # twice a second each says what it holds
@@ -38,11 +38,11 @@ class Exchange(Revertible):
         self._robots = frozenset(fleet.robot)
         self._neighbours_of = {robot: frozenset(fleet.robot[robot].neighbours) for robot in fleet.robot}
         neighbours = fleet.robot[name].neighbours
-        self.letters = Letters[Claim](fleet.fleet, name, neighbours)
-        self._keyframes = Letters[Keyframe](fleet.fleet, name, neighbours)
+        self.cache = MessageCache[Claim](fleet.fleet, name, neighbours)
+        self._keyframes = MessageCache[Keyframe](fleet.fleet, name, neighbours)
         self.known = known
         self._sent: dict[tuple[str, Key], int] = {}  # when it was last sent
-        self._seqs = {neighbour: 0 for neighbour in self.letters.senders}
+        self._seqs = {neighbour: 0 for neighbour in self.cache.senders}
         self._said = self._due_ns = self._send_due_ns = self._folds = 0
 
     def end_step(self) -> None:
@@ -52,7 +52,7 @@ class Exchange(Revertible):
         """A decoded message that came on the key of `src`. Raises Refusal where it cannot be so."""
         if (fault := claim_fault(claim, self._tank_m)) is not None:
             raise Refusal("content", fault)
-        self.letters.put(src, claim, arrived_ns)
+        self.cache.put(src, claim, arrived_ns)
 
     def hear_keyframe(self, src: str, said: Keyframe, arrived_ns: int) -> None:
         """Likewise. One that is held already, or that its origin has to say itself, changes nothing."""
@@ -76,7 +76,7 @@ class Exchange(Revertible):
     def claims(self, now_ns: int) -> tuple[tuple[str, View], ...]:
         """Views that others are about to take, in the order of their names."""
         found = []
-        for name, sender in self.letters.senders.items():
+        for name, sender in self.cache.senders.items():
             letter = sender.newest
             view = UNSET if letter is None else letter.message.view
             if letter is None or view is UNSET:
@@ -92,7 +92,7 @@ class Exchange(Revertible):
         if now_ns < self._send_due_ns:
             return ()
         self._send_due_ns = now_ns + SEND_NS
-        for neighbour in self.letters.senders:
+        for neighbour in self.cache.senders:
             key = self._lacks(neighbour, now_ns)
             if key is None:
                 continue
@@ -103,7 +103,7 @@ class Exchange(Revertible):
 
     def say(self, view: View | None, until_ns: int, now_ns: int) -> tuple[Claim, ...]:
         """What it holds and where it looks, to each neighbour, twice a second."""
-        if now_ns < self._due_ns or not self.letters.senders:
+        if now_ns < self._due_ns or not self.cache.senders:
             return ()
         self._due_ns = now_ns + CLAIM_NS
         self._said += 1
@@ -120,17 +120,17 @@ class Exchange(Revertible):
             share=self.known.share(),
             digest=self.known.digest(),
         )
-        return tuple(replace(said, dst=neighbour) for neighbour in self.letters.senders)
+        return tuple(replace(said, dst=neighbour) for neighbour in self.cache.senders)
 
     def _speaks(self, origin: str, now_ns: int) -> bool:
         """Whether an origin is a neighbour of which a word was heard of late."""
-        if origin not in self.letters.senders:
+        if origin not in self.cache.senders:
             return False
-        age_ns = self.letters.age_ns(origin, now_ns)
+        age_ns = self.cache.age_ns(origin, now_ns)
         return age_ns is not None and age_ns <= SILENT_NS
 
     def _lacks(self, neighbour: str, now_ns: int) -> Key | None:
-        newest = self.letters.senders[neighbour].newest
+        newest = self.cache.senders[neighbour].newest
         heard_ns = -1 if newest is None else newest.arrived_ns - newest.late_ns
         has = {} if newest is None else {(h.origin, h.incarnation): h for h in newest.message.has}
         for key in self.known.held:
@@ -143,7 +143,7 @@ class Exchange(Revertible):
 
     def _passes_on(self, key: Key, neighbour: str, now_ns: int) -> bool:
         """Whether that neighbour would take this keyframe from this robot."""
-        origin, newest = key[0], self.letters.senders[neighbour].newest
+        origin, newest = key[0], self.cache.senders[neighbour].newest
         if origin == self._name:
             return True
         if origin == neighbour:

@@ -29,7 +29,7 @@ from agent.core.linear_algebra import plus, semidefinite, trace
 from agent.core.messages import Presence, Vector
 from agent.core.step_transaction import Revertible
 from agent.core.topics import NEAR, next_due_ns
-from agent.core.trust import Letter, Letters
+from agent.core.trust import CachedMessage, MessageCache
 
 # --- neighbours ---
 
@@ -47,14 +47,14 @@ class Neighbours(Revertible):
 
     def __init__(self, fleet: Fleet, me: str) -> None:
         assert fleet.navigation is not None
-        self.letters = Letters[Presence](fleet.fleet, me, fleet.robot[me].neighbours)
+        self.cache = MessageCache[Presence](fleet.fleet, me, fleet.robot[me].neighbours)
         self._tank_m, self._clear_m = fleet.tank.size_m, fleet.navigation.limits.separation_m
 
     def hear(self, src: str, presence: Presence, arrived_ns: int) -> None:
         """A decoded message that came on the key of `src`. Raises Refusal where it cannot be so."""
         if (fault := content_fault(presence, self._tank_m)) is not None:
             raise Refusal("content", fault)
-        self.letters.put(src, presence, arrived_ns)
+        self.cache.put(src, presence, arrived_ns)
 
     def discs(self, now_ns: int) -> tuple[Disc, ...]:
         """All that ever said where they are, in the order of their names, where they should be by now."""
@@ -83,10 +83,10 @@ class Neighbours(Revertible):
 
     def doing(self, behaviour: str, target: str, now_ns: int) -> tuple[Planar, ...]:
         """Where robots are that do the same about the same target, in order of their names; silent ones left out."""
-        letters = [e for e in self._heard() if now_ns - said_ns(e) <= SILENT_NS]
+        cache = [e for e in self._heard() if now_ns - said_ns(e) <= SILENT_NS]
         return tuple(
             (said.x_m, said.y_m)
-            for said in (letter.message for letter in letters)
+            for said in (letter.message for letter in cache)
             if said.behaviour == behaviour and said.target == target
         )
 
@@ -110,11 +110,11 @@ class Neighbours(Revertible):
         """The newest word of all that ever said where they are, in the order of their names."""
         return tuple(letter.message for letter in self._heard())
 
-    def _heard(self) -> tuple[Letter[Presence], ...]:
-        return tuple(sender.newest for sender in self.letters.senders.values() if sender.newest is not None)
+    def _heard(self) -> tuple[CachedMessage[Presence], ...]:
+        return tuple(sender.newest for sender in self.cache.senders.values() if sender.newest is not None)
 
 
-def said_ns(letter: Letter[Presence]) -> int:
+def said_ns(letter: CachedMessage[Presence]) -> int:
     """When a neighbour was where it said, on our clock."""
     said = letter.message
     return letter.arrived_ns - letter.late_ns - (said.sent_ns - said.t_ns)
@@ -149,7 +149,7 @@ class Deconfliction(Revertible):
     def __init__(self, fleet: Fleet, name: str, incarnation: int) -> None:
         self._fleet, self._name, self._incarnation, self._tank_m = fleet.fleet, name, incarnation, fleet.tank.size_m
         self.neighbours = Neighbours(fleet, name)
-        self._at_once = max(1, (1 + len(self.neighbours.letters.senders)) // 3)  # so many look for landmarks
+        self._at_once = max(1, (1 + len(self.neighbours.cache.senders)) // 3)  # so many look for landmarks
         self._looks_since_ns: int | None = None  # at landmarks
         self._goal: Reference | None = None  # where it was told to be last
         self._due_ns = self._told = 0  # when it says so next, and how often it was due
@@ -213,7 +213,7 @@ class Deconfliction(Revertible):
         )
         if content_fault(said, self._tank_m) is not None:  # no neighbour would believe it
             return ()
-        return tuple(replace(said, dst=neighbour) for neighbour in self.neighbours.letters.senders)
+        return tuple(replace(said, dst=neighbour) for neighbour in self.neighbours.cache.senders)
 
 
 def direly_unsure(belief: Belief) -> bool:

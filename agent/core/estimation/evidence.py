@@ -28,7 +28,7 @@ from msgspec.structs import replace
 
 from agent.core.estimation.evidence_table import Bounds, Key, Table, entry_fault, floored, mark
 from agent.core.estimation.fuse import Fused, fuse
-from agent.core.estimation.interface import NOTHING, Bearing, Mailbox, Posterior, Prior, Update, Word
+from agent.core.estimation.interface import NOTHING, Bearing, EstimateCache, Posterior, Prior, Update, Word
 from agent.core.estimation.modes import SEEN_NS, Conclusion, DeliveryLedger, Innovation, Me, Mode, Motion, outliving
 from agent.core.estimation.moving_target import WINDOW, MovingTarget
 from agent.core.estimation.track import ROLLING, Dynamics
@@ -39,7 +39,7 @@ from agent.core.trust import (
     HEARSAY,
     Authority,
     EpochVote,
-    Letter,
+    CachedMessage,
     Verify,
     entry_bytes,
     epoch_of,
@@ -117,7 +117,7 @@ class Evidence(Revertible):
         if t > self.t + 1:  # see Paper.adopt
             self.t = t - 1
 
-    def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
+    def hear(self, letter: CachedMessage[Estimate]) -> tuple[str, ...]:
         said, src = letter.message, letter.message.src
         self._authority.heard(src, letter.arrived_ns)
         if self._starts.get(src, said.incarnation) != said.incarnation:
@@ -153,7 +153,7 @@ class Evidence(Revertible):
         says = partial(proposal_bytes, *self._me.subject, proposal)
         return self._authority.fault(src, proposal.proposer, proposal.signature, says, now_ns)
 
-    def tick(self, prior: Prior | Bearing | None, mailbox: Mailbox, now_ns: int) -> Update:
+    def tick(self, prior: Prior | Bearing | None, cache: EstimateCache, now_ns: int) -> Update:
         self.valid = prior is not None
         self._pass(now_ns)
         self._outlive(now_ns)
@@ -174,8 +174,8 @@ class Evidence(Revertible):
         self._look_at_oneself(self.valid and concluded.doubts_itself, now_ns)
         self._follow(now_ns)
         self.t += 1
-        used = tuple(name for name, _ in mailbox.usable(now_ns, self._validity_ns))
-        explain = replace(concluded.explain, ages_s=mailbox.ages_s(now_ns))
+        used = tuple(name for name, _ in cache.usable(now_ns, self._validity_ns))
+        explain = replace(concluded.explain, ages_s=cache.ages_s(now_ns))
         return Update(self.t, concluded.rule, concluded.alpha, used, explain)
 
     def say(self, to: str, now_ns: int) -> Word:

@@ -11,7 +11,7 @@ from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
 from agent.core.messages import Estimate, Explain, Gossip, Symmetric, Vector
-from agent.core.trust import Letter, Letters
+from agent.core.trust import CachedMessage, MessageCache
 
 NOTHING: Symmetric = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
@@ -86,10 +86,10 @@ class Estimator(Protocol):
     def adopt(self, t: int) -> None:
         """A neighbour is at iteration t: late and restarted robots catch up with the swarm's index."""
 
-    def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
+    def hear(self, letter: CachedMessage[Estimate]) -> tuple[str, ...]:
         """Take in a message that the mailbox accepted. Returns the kinds of refusal of what in it was not believed."""
 
-    def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
+    def tick(self, prior: Prior | None, cache: EstimateCache, now_ns: int) -> Update:
         """One iteration: the newest usable word of each neighbour and, if the target was seen, a prior."""
 
     def say(self, to: str, now_ns: int) -> Word:
@@ -102,7 +102,7 @@ class Estimator(Protocol):
 LATEST_T = 10**8  # iterations; a year has a third of it at one a second
 
 
-class Mailbox(Letters[Estimate]):
+class EstimateCache(MessageCache[Estimate]):
     """The newest message of each neighbour about one target; refuses what cannot be its next one."""
 
     def __init__(self, fleet: str, me: str, target: str, neighbours: tuple[str, ...]) -> None:

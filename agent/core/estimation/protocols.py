@@ -10,12 +10,12 @@ from collections.abc import Mapping, Sequence
 from agent.core.config import Fleet, Follow, Search, Target
 from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import Bounds
-from agent.core.estimation.interface import Estimator, Mailbox, Posterior, Prior, Update, Word
+from agent.core.estimation.interface import Estimator, EstimateCache, Posterior, Prior, Update, Word
 from agent.core.estimation.track import ROLLING, Dynamics, swimming
 from agent.core.linear_algebra import trace
 from agent.core.messages import Estimate, Explain, Symmetric, Vector
 from agent.core.step_transaction import Revertible
-from agent.core.trust import Letter, Verify, verify_signature
+from agent.core.trust import CachedMessage, Verify, verify_signature
 
 # --- choice of the protocol ---
 
@@ -119,14 +119,14 @@ class Paper(Means):
         self.valid = False
         self.posterior: Posterior | None = None
 
-    def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
+    def hear(self, letter: CachedMessage[Estimate]) -> tuple[str, ...]:
         return ()  # only the newest word counts, and the mailbox has it
 
     def say(self, to: str, now_ns: int) -> Word:
         return Word(*self.posterior[:2]) if self.posterior else Word(None, None)
 
-    def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
-        usable = mailbox.usable(now_ns, self._validity_ns)
+    def tick(self, prior: Prior | None, cache: EstimateCache, now_ns: int) -> Update:
+        usable = cache.usable(now_ns, self._validity_ns)
         said = [(Posterior(e.x_m, e.cov_m2 or UNKNOWN), 1.0 / len(usable)) for _, e in usable if e.x_m is not None]
         self.valid = prior is not None
         alpha = 0.0
@@ -142,7 +142,7 @@ class Paper(Means):
             rule = "hold"
         self.t += 1
         weights = {name: (1.0 - alpha) / len(usable) for name, _ in usable}
-        explain = Explain(weights=weights, ages_s=mailbox.ages_s(now_ns))
+        explain = Explain(weights=weights, ages_s=cache.ages_s(now_ns))
         return Update(self.t, rule, alpha, tuple(weights), explain)
 
 
@@ -201,15 +201,15 @@ class Metropolis(Means):
         self.valid = False
         self.posterior: Posterior | None = None
 
-    def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
+    def hear(self, letter: CachedMessage[Estimate]) -> tuple[str, ...]:
         return ()
 
     def say(self, to: str, now_ns: int) -> Word:
         x_m, cov_m2 = self.posterior[:2] if self.posterior else (None, None)
         return Word(x_m, cov_m2, degree=self._degree)
 
-    def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
-        usable = mailbox.usable(now_ns, self._validity_ns)
+    def tick(self, prior: Prior | None, cache: EstimateCache, now_ns: int) -> Update:
+        usable = cache.usable(now_ns, self._validity_ns)
         said = {name: Posterior(e.x_m, e.cov_m2 or UNKNOWN) for name, e in usable if e.x_m is not None}
         weights = {name: self._weight(e) for name, e in usable}
         self.valid = prior is not None
@@ -236,7 +236,7 @@ class Metropolis(Means):
             rule = "hold"
         self.t += 1
         shares = {name: (1.0 - alpha) * w for name, w in weights.items()}
-        explain = Explain(weights=shares, ages_s=mailbox.ages_s(now_ns))
+        explain = Explain(weights=shares, ages_s=cache.ages_s(now_ns))
         return Update(self.t, rule, alpha, tuple(name for name, _ in usable), explain)
 
     def _drawn_in(self, x_m: Vector, anchor_m: Vector) -> Vector:

@@ -19,7 +19,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from numpy.typing import NDArray
 
 from agent.core.config import Estimation, Fleet, Pose, Protocol, Robot, Tank, Target
-from agent.core.estimation.interface import Estimator, Mailbox, Prior, Update
+from agent.core.estimation.interface import Estimator, EstimateCache, Prior, Update
 from agent.core.estimation.protocols import estimator
 from agent.core.linear_algebra import upper
 from agent.core.messages import Estimate, Symmetric
@@ -324,7 +324,7 @@ class Swarm:
         """All speak once to their neighbours; then time goes on to when the next one is due."""
         now_ns = self.now_ns
         self._seq += 1
-        letters = []
+        cache = []
         for i, near in enumerate(self.graph):
             for j in near:
                 word = self.robots[i].say(self._names[j], now_ns)
@@ -343,8 +343,8 @@ class Swarm:
                     **word._asdict(),
                 )
                 said = self.tamper(i, estimate)
-                letters.append((j, said if self._signs is None else self._signs[i](said)))
-        for j, estimate in letters:
+                cache.append((j, said if self._signs is None else self._signs[i](said)))
+        for j, estimate in cache:
             self.robots[j].hear(self._boxes[j].put(estimate.src, estimate, now_ns))
         self.now_ns += self._iteration_ns // self._says
 
@@ -354,9 +354,9 @@ class Swarm:
             robot.trust(self._trusted)
         return robot
 
-    def _mailbox(self, i: int) -> Mailbox:
+    def _mailbox(self, i: int) -> EstimateCache:
         name = self._names[i]
-        return Mailbox(self._fleet.fleet, name, TARGET, self._fleet.robot[name].neighbours)
+        return EstimateCache(self._fleet.fleet, name, TARGET, self._fleet.robot[name].neighbours)
 
 
 def fleet(protocol: Protocol, graph: Graph, iteration_s: float, liars: int = 1, clip: bool = False) -> Fleet:

@@ -12,10 +12,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 
 from agent.core.config import Follow, Look, Pose, Search
-from agent.core.estimation.interface import Mailbox, Posterior, Prior, Update, Word
+from agent.core.estimation.interface import EstimateCache, Posterior, Prior, Update, Word
 from agent.core.linear_algebra import wrap
 from agent.core.messages import Estimate, Vector
-from agent.core.trust import Letter
+from agent.core.trust import CachedMessage
 from agent.experiments.experiment import Row, rms
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import START_NS, TANK, PlanarBodies, twin_bodies
@@ -117,13 +117,13 @@ class ToldEstimator:
     def trust(self, keys: Mapping[str, bytes]) -> None: ...
     def adopt(self, t: int) -> None: ...
 
-    def hear(self, letter: Letter[Estimate]) -> tuple[str, ...]:
+    def hear(self, letter: CachedMessage[Estimate]) -> tuple[str, ...]:
         return ()
 
     def by_others(self) -> None:
         return None
 
-    def tick(self, prior: Prior | None, mailbox: Mailbox, now_ns: int) -> Update:
+    def tick(self, prior: Prior | None, cache: EstimateCache, now_ns: int) -> Update:
         self.t += 1
         return Update(self.t, "told", 0.0, ())
 

@@ -85,7 +85,7 @@ def test_what_cannot_be_is_not_believed(about: dict[str, Any], why: str) -> None
     found = heard(presence())
     with pytest.raises(Refusal, match=why):
         found.hear(about.get("src", "r02"), presence(**{"seq": 2, **about}), 2 * S)
-    assert len(found.discs(2 * S)) == 1 and found.letters.senders["r02"].heard == 1
+    assert len(found.discs(2 * S)) == 1 and found.cache.senders["r02"].heard == 1
 
 
 def test_no_number_of_it_may_be_none() -> None:

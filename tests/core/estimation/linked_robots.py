@@ -7,7 +7,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from agent.core.codec import decode, encode
 from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import Bounds
-from agent.core.estimation.interface import Mailbox, Prior
+from agent.core.estimation.interface import EstimateCache, Prior
 from agent.core.messages import Estimate
 from agent.process.keys import signing
 from tests.sample_messages import estimate
@@ -50,7 +50,7 @@ class Net:
         self.robots[name] = Evidence(name, self.start[name], self.links[name], 2 * SECOND_NS, BOUNDS, subject=SUBJECT)
         if self.signed:
             self.robots[name].trust({each: PUBLIC[each] for each in self.links})
-        self.boxes[name] = Mailbox("tank", name, "ball", self.links[name])
+        self.boxes[name] = EstimateCache("tank", name, "ball", self.links[name])
 
     def restart(self, name) -> None:
         self.start[name] += 1
@@ -65,8 +65,8 @@ class Net:
 
     def speak(self) -> None:
         self.seq += 1
-        letters = [(src, dst, self.letter(src, dst)) for src, near in self.links.items() for dst in near]
-        for src, dst, payload in letters:
+        cache = [(src, dst, self.letter(src, dst)) for src, near in self.links.items() for dst in near]
+        for src, dst, payload in cache:
             self.sizes.append(len(payload))
             if (src, dst) not in self.cut and self.random.random() >= self.loss:
                 self.deliver(src, dst, payload)

@@ -20,7 +20,7 @@ from agent.core.estimation.modes import Me
 from agent.core.estimation.protocols import Metropolis, Paper
 from agent.core.linear_algebra import upper
 from agent.core.messages import MAX_PAYLOAD, Entry, Epoch, Estimate, Gossip, Holding, Proposal
-from agent.core.trust import Authority, Letter
+from agent.core.trust import Authority, CachedMessage
 from agent.experiments.localization.draws import bound_m, central_m
 from agent.experiments.localization.lockstep import TARGET_M, Swarm, draw_dive, draw_world, graph, prior, symmetric
 from tests.core.estimation.linked_robots import COV, NAMES, SECOND_NS, Net, line
@@ -186,9 +186,9 @@ def test_nobody_writes_under_our_name_and_what_is_refused_changes_nothing() -> N
     strange = msgspec.structs.replace(forged, origin="stranger", count=1)
     base = decode(net.letter("r01", "r00"), Estimate)
     letter = msgspec.structs.replace(base, gossip=Gossip(entries=(forged, strange), digest=(Holding("x", 1, 1),)))
-    assert robot.hear(Letter(letter, net.now_ns, 0)) == ("own name", "unknown origin")
+    assert robot.hear(CachedMessage(letter, net.now_ns, 0)) == ("own name", "unknown origin")
     hijack = msgspec.structs.replace(base, gossip=Gossip(Epoch(5, True), proposals=(Proposal("x", 0, 5, True),)))
-    assert robot.hear(Letter(hijack, net.now_ns, 0)) == ("unknown origin",)
+    assert robot.hear(CachedMessage(hijack, net.now_ns, 0)) == ("unknown origin",)
     assert robot.epoch == Epoch()
     robot.tick(None, net.boxes["r00"], net.now_ns)
     assert robot.posterior == before
@@ -208,7 +208,7 @@ def test_only_what_arrived_matters_not_its_age() -> None:
     net.tick(samples(["r00"], net.now_ns, Random(1)))
     letter = decode(net.letter("r00", "r01"), Estimate)
     late = Net(line(2))
-    late.robots["r01"].hear(Letter(letter, 3600 * SECOND_NS, 5 * SECOND_NS))
+    late.robots["r01"].hear(CachedMessage(letter, 3600 * SECOND_NS, 5 * SECOND_NS))
     late.robots["r01"].tick(None, late.boxes["r01"], 3601 * SECOND_NS)
     assert late.robots["r01"].posterior == net.robots["r00"].posterior
 

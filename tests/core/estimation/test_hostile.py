@@ -8,9 +8,9 @@ import pytest
 
 from agent.core.codec import Refusal, decode, encode
 from agent.core.estimation.evidence_table import INCARNATIONS
-from agent.core.estimation.interface import Mailbox, Prior
+from agent.core.estimation.interface import EstimateCache, Prior
 from agent.core.messages import Entry, Estimate, Gossip
-from agent.core.trust import CLOCKS_NS, Letter
+from agent.core.trust import CLOCKS_NS, CachedMessage
 from tests.core.estimation.linked_robots import COV, NAMES, PUBLIC, SECOND_NS, SIGN, Net
 from tests.sample_messages import estimate
 
@@ -34,7 +34,7 @@ def tell(net: Net, to: str, *entries: Entry, by: str = LIAR, sign: bool = True) 
     """`by` says these entries to one robot, signed with its own key; returns what was not believed."""
     said = Gossip(net.robots[to].epoch, entries=entries)
     letter = estimate(by, to, incarnation=net.start[by], seq=10**4, sent_ns=net.now_ns, gossip=said)
-    return net.robots[to].hear(Letter(SIGN[by](letter) if sign else letter, net.now_ns, 0))
+    return net.robots[to].hear(CachedMessage(SIGN[by](letter) if sign else letter, net.now_ns, 0))
 
 
 def entry(origin: str, incarnation: int, count: int = 20, **about: object) -> Entry:
@@ -128,8 +128,8 @@ def test_a_robot_that_was_knocked_and_repaired_is_believed_at_once() -> None:
     assert math.dist(net.robots[NAMES[0]].posterior.x_m, (0.7, 0.5, 0.1)) < 0.004
 
 
-def mailbox_with(**about: int) -> Mailbox:
-    box = Mailbox("tank", "r1", "ball", ("r2", "r3"))
+def mailbox_with(**about: int) -> EstimateCache:
+    box = EstimateCache("tank", "r1", "ball", ("r2", "r3"))
     told = {"incarnation": 1, "seq": 5, "sent_ns": 100 * SECOND_NS, "t": 50, **about}
     box.put("r2", estimate("r2", "r1", **told), 100 * SECOND_NS)
     return box

@@ -6,7 +6,7 @@ from random import Random
 import pytest
 
 from agent.core.codec import Refusal
-from agent.core.estimation.interface import Mailbox, Prior
+from agent.core.estimation.interface import EstimateCache, Prior
 from agent.core.estimation.protocols import Paper
 from agent.core.messages import Estimate
 from tests.sample_messages import estimate
@@ -31,7 +31,7 @@ class Swarm:
     def __init__(self, links: dict[str, tuple[str, ...]]) -> None:
         self.links = links
         self.robots = {name: Paper(validity_ns=2 * TICK_NS) for name in links}
-        self.boxes = {name: Mailbox("tank", name, "ball", neighbours) for name, neighbours in links.items()}
+        self.boxes = {name: EstimateCache("tank", name, "ball", neighbours) for name, neighbours in links.items()}
         self.now_ns = TICK_NS
         self.seq = 0
 
@@ -102,13 +102,13 @@ def test_late_robot_adopts_the_iteration() -> None:
     robot.adopt(1)
     assert robot.t == 0
     robot.adopt(16)
-    robot.tick(None, Mailbox("tank", "r1", "ball", ()), 0)
+    robot.tick(None, EstimateCache("tank", "r1", "ball", ()), 0)
     assert robot.t == 16
 
 
 def test_robots_whose_periods_jitter_do_not_drive_each_other() -> None:
     """Three robots, periods of 1.0 to 1.5 s: the swarm's index never runs ahead of the fastest robot's clock."""
-    random, robots, box = Random(1), [Paper(TICK_NS) for _ in range(3)], Mailbox("tank", "r1", "ball", ())
+    random, robots, box = Random(1), [Paper(TICK_NS) for _ in range(3)], EstimateCache("tank", "r1", "ball", ())
     due_s = [0.0, 0.3, 0.6]
     for _ in range(600):
         i = min(range(3), key=lambda k: due_s[k])
@@ -128,7 +128,7 @@ def test_covariance_of_independent_samples_falls_as_one_over_t() -> None:
 
 
 def test_mailbox_refuses_what_does_not_belong_there() -> None:
-    box = Mailbox("tank", "r1", "ball", ("r2",))
+    box = EstimateCache("tank", "r1", "ball", ("r2",))
     for src, bad in (
         ("r9", estimate(src="r9")),
         ("r2", estimate(src="r3")),
@@ -142,7 +142,7 @@ def test_mailbox_refuses_what_does_not_belong_there() -> None:
 
 
 def test_mailbox_counts_gaps_refuses_repeats_and_believes_a_restart() -> None:
-    box = Mailbox("tank", "r1", "ball", ("r2",))
+    box = EstimateCache("tank", "r1", "ball", ("r2",))
     box.put("r2", estimate(seq=3), 0)
     box.put("r2", estimate(seq=6), 0)
     assert box.senders["r2"].gaps == 2
@@ -154,7 +154,7 @@ def test_mailbox_counts_gaps_refuses_repeats_and_believes_a_restart() -> None:
 
 def test_a_burst_of_queued_messages_is_old_although_it_just_arrived() -> None:
     """Clocks an hour apart; one message spent five seconds in a queue."""
-    box, hour, ms = Mailbox("tank", "r1", "ball", ("r2",)), 3600 * TICK_NS, 1_000_000
+    box, hour, ms = EstimateCache("tank", "r1", "ball", ("r2",)), 3600 * TICK_NS, 1_000_000
     for k in range(5):
         now = hour + k * 100 * ms
         box.put("r2", estimate(seq=k, sent_ns=k * 100 * ms), now + 2 * ms)

@@ -5,7 +5,7 @@ from random import Random
 import numpy as np
 import pytest
 
-from agent.core.estimation.interface import Mailbox, Prior
+from agent.core.estimation.interface import EstimateCache, Prior
 from agent.core.estimation.protocols import Metropolis
 from agent.experiments.localization.lockstep import Swarm, graph, metropolis_weights
 from tests.sample_messages import estimate
@@ -32,10 +32,10 @@ def test_noise_gain_is_the_closed_form(topology, robots) -> None:
             assert [r.posterior.x_m[0] for r in swarm.robots] == pytest.approx(gain, abs=1e-12)
 
 
-def alone(t: int = 0) -> tuple[Metropolis, Mailbox]:
+def alone(t: int = 0) -> tuple[Metropolis, EstimateCache]:
     robot = Metropolis("r1", SECOND_NS, degree=2)
     robot.adopt(t)
-    return robot, Mailbox("tank", "r1", "ball", ("r2", "r3"))
+    return robot, EstimateCache("tank", "r1", "ball", ("r2", "r3"))
 
 
 def test_a_lone_observer_averages() -> None:
@@ -74,7 +74,7 @@ def test_the_blind_take_what_they_are_told_without_shrinking_it() -> None:
 
 def lied_to(clip: bool, iterations: int = 40) -> tuple[Metropolis, list[float]]:
     """A robot with a neighbour that is honest for half of the time, then a metre off, and how far it is itself."""
-    robot, box, far = Metropolis("r1", 10 * SECOND_NS, 1, clip), Mailbox("tank", "r1", "ball", ("r2",)), []
+    robot, box, far = Metropolis("r1", 10 * SECOND_NS, 1, clip), EstimateCache("tank", "r1", "ball", ("r2",)), []
     for t in range(iterations):
         place = (float(t >= iterations // 2), 0.0, 0.0)
         box.put("r2", estimate(seq=t, t=t, valid=True, x_m=place, cov_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0), degree=1), t)
@@ -97,7 +97,7 @@ def test_a_lie_moves_it_by_three_sigma_of_the_own_samples_an_iteration_however_f
 
 
 def test_a_robot_that_never_saw_the_target_takes_what_it_is_told_with_the_clip_too() -> None:
-    robot, box = Metropolis("r1", SECOND_NS, 1, clip=True), Mailbox("tank", "r1", "ball", ("r2",))
+    robot, box = Metropolis("r1", SECOND_NS, 1, clip=True), EstimateCache("tank", "r1", "ball", ("r2",))
     box.put("r2", estimate(t=1, valid=True, x_m=(1.0, 0.0, 0.0), cov_m2=COV, degree=1), 0)
     robot.tick(None, box, 0)
     assert robot.posterior.x_m == (1.0, 0.0, 0.0)

@@ -11,7 +11,7 @@ from scipy.integrate import quad
 
 from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import Bounds, sample_fault
-from agent.core.estimation.interface import Mailbox, Prior
+from agent.core.estimation.interface import EstimateCache, Prior
 from agent.core.estimation.track import (
     ROLLING,
     SMALL,
@@ -201,7 +201,7 @@ def test_a_target_that_swims_moves_from_the_first_and_never_rests() -> None:
         return Evidence("r1", 1, (), SECOND_NS, BOUNDS, dynamics=dynamics)
 
     assert not robot(ROLLING).epoch.moving
-    fish, box = robot(FISH), Mailbox("tank", "r1", "fish", ())
+    fish, box = robot(FISH), EstimateCache("tank", "r1", "fish", ())
     assert fish.epoch == (epoch := type(fish.epoch)(1, True))
     cov_m2 = (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4)
     for k in range(1, 45):

@@ -131,8 +131,8 @@ def deaf(robot: Robot) -> Iterator[Broken]:
     now_ns = robot.clock.now_ns
     validity_ns = robot.agent._fleet.estimation.validity_s * 1e9
     for target in robot.agent.targets.values():
-        for name, sender in target.mailbox.senders.items():
-            age_ns = target.mailbox.age_ns(name, now_ns)
+        for name, sender in target.cache.senders.items():
+            age_ns = target.cache.age_ns(name, now_ns)
             if sender.newest is None or now_ns - sender.newest.arrived_ns > FRESH_NS:
                 yield Broken("silenced", f"{name} speaks of {target.name}, and nothing of it is taken")
             elif age_ns is None or age_ns > validity_ns:
