@@ -13,7 +13,7 @@ from typing import Literal, NamedTuple
 from agent.core.config import Fleet
 from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import R_FLOOR_M, inside, widest_m2
-from agent.core.estimation.interface import NOTHING, Bearing, Estimator, EstimateCache, Posterior, Prior, Update
+from agent.core.estimation.interface import NOTHING, Bearing, EstimateCache, Estimator, Posterior, Prior, Update
 from agent.core.estimation.protocols import dynamics, estimator
 from agent.core.estimation.track import Dynamics, growth, outer
 from agent.core.linear_algebra import IDENTITY, apply, inner, invert, minus, plus, times, trace

@@ -29,7 +29,7 @@ from agent.core.messages import SCHEMA
 from agent.core.ranging.camera_model import Calibration
 from agent.core.status import Status
 from agent.core.step_io import Inputs, Outputs, SetPoint
-from agent.core.step_transaction import StepTransaction, Revertible
+from agent.core.step_transaction import Revertible, StepTransaction
 from agent.robot.arbiter import Arbiter, Equipment
 from agent.robot.inbox import Inbox
 from agent.robot.operator import Operator

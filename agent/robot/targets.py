@@ -34,10 +34,10 @@ from agent.core.ranging.fix import EXACT, Fix, NoRange, OwnPose, locate
 from agent.core.ranging.sweep import Measurement, Rejected
 from agent.core.status import Status, sweep_outcome
 from agent.core.step_io import SweepOutcome
-from agent.core.step_transaction import StepTransaction, Revertible
+from agent.core.step_transaction import Revertible, StepTransaction
 from agent.core.target_state import TargetState
 from agent.core.topics import next_due_ns
-from agent.robot.target_search import TargetSearch, TargetScheduler
+from agent.robot.target_search import TargetScheduler, TargetSearch
 
 LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods
 

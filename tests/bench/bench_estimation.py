@@ -10,7 +10,7 @@ from typing import Any
 from agent.core.codec import decode, encode
 from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import Bounds
-from agent.core.estimation.interface import Estimator, EstimateCache, Prior
+from agent.core.estimation.interface import EstimateCache, Estimator, Prior
 from agent.core.estimation.protocols import Metropolis, Paper
 from agent.core.messages import Epoch, Estimate
 from tests.sample_messages import estimate

@@ -18,7 +18,7 @@ from agent.capabilities.swim.tag_fix import Map
 from agent.core.attitude import AttitudeLog
 from agent.core.config import Fleet, Navigation, Search
 from agent.core.messages import Explain, State
-from agent.core.step_transaction import StepTransaction, Revertible, Savepoint
+from agent.core.step_transaction import Revertible, Savepoint, StepTransaction
 from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, draw_scene, fleet_of
 from agent.robot.step import Agent
 from tests.capabilities.light.dark_fish import DarkFish

@@ -5,7 +5,7 @@ import pytest
 from agent.core.capability import CameraAct, LightView
 from agent.core.ranging.camera_model import look_at
 from agent.core.step_io import Sighting
-from agent.robot.target_search import LOST_NS, PATIENCE, TURN, TargetSearch, TargetScheduler
+from agent.robot.target_search import LOST_NS, PATIENCE, TURN, TargetScheduler, TargetSearch
 from tests.capabilities.swim.swimming_agent import CALIBRATION, POSE, fleet
 from tests.core.situations import LEVEL, situation
 

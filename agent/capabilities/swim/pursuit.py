@@ -126,9 +126,9 @@ def own_part(
 # --- gaze that scans ---
 # It goes round all that the gimbal reaches, without rest: for a target that may be anywhere.
 #
-# Looks with rests between them (search_pattern.SearchPattern) take longer for one round than a fish stays where it is. This one
-# passes at a rate at which neighbouring frames overlap, to and fro at one tilt after the other: every other time at the
-# middle one, where most swims.
+# Looks with rests between them (SearchPattern) take longer for one round than a fish stays where it is. This one passes
+# at a rate at which neighbouring frames overlap, to and fro at one tilt after the other: every other time at the middle
+# one, where most swims.
 
 AWAY_NS = 200_000_000  # several steps
 SCAN_ELSEWHERE_NS = 2_000_000_000  # longer than a glance: it begins anew

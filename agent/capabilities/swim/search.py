@@ -4,8 +4,8 @@ part of the tank.
 That part is its Voronoi cell among the robots that search with it, drawn in by what is kept clear of walls (Cortes,
 Martinez, Karatas and Bullo, Coverage control for mobile sensing networks, IEEE Trans. Robotics and Automation 20(2),
 2004). It is cut when the robot begins and again when another begins or falls silent, not while all swim on: lanes that
-moved along with all robots would never end. The camera's gaze goes all around meanwhile (search_pattern.SearchPattern). A robot
-that has the target in view waits where it is, for a sweep wants a robot at rest.
+moved along with all robots would never end. The camera looks all around meanwhile (SearchPattern). A robot that has the
+target in view waits where it is, for a sweep wants a robot at rest.
 
 `Surroundings` is what Follow and Survey go by as well.
 """

@@ -38,8 +38,8 @@ from agent.core.step_transaction import Revertible
 from agent.core.trust import (
     HEARSAY,
     Authority,
-    EpochVote,
     CachedMessage,
+    EpochVote,
     Verify,
     entry_bytes,
     epoch_of,

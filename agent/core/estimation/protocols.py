@@ -10,7 +10,7 @@ from collections.abc import Mapping, Sequence
 from agent.core.config import Fleet, Follow, Search, Target
 from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import Bounds
-from agent.core.estimation.interface import Estimator, EstimateCache, Posterior, Prior, Update, Word
+from agent.core.estimation.interface import EstimateCache, Estimator, Posterior, Prior, Update, Word
 from agent.core.estimation.track import ROLLING, Dynamics, swimming
 from agent.core.linear_algebra import trace
 from agent.core.messages import Estimate, Explain, Symmetric, Vector

@@ -19,7 +19,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from numpy.typing import NDArray
 
 from agent.core.config import Estimation, Fleet, Pose, Protocol, Robot, Tank, Target
-from agent.core.estimation.interface import Estimator, EstimateCache, Prior, Update
+from agent.core.estimation.interface import EstimateCache, Estimator, Prior, Update
 from agent.core.estimation.protocols import estimator
 from agent.core.linear_algebra import upper
 from agent.core.messages import Estimate, Symmetric

@@ -63,7 +63,9 @@ def crossing(seed: int, loss: float, minutes: float, odometry: bool = True) -> P
     xs, ys = (0.40, 0.95, 1.50, 2.05, 2.60), (0.5, 1.5)
     tank = FleetInTank(fleet_of([(x, y, 0.0) for y in ys for x in xs]), seed, loss, odometry)
     for one in tank.robots.values():
-        one.agent.net.step = lambda state, work, inputs, now_ns: work(inputs, now_ns)  # no step breaks: a third quicker
+        one.agent.transaction.step = lambda state, work, inputs, now_ns: work(
+            inputs, now_ns
+        )  # no step breaks: a third quicker
     names, rng = list(tank.robots), np.random.default_rng((seed, 1))
     goals = dict(zip(names, tank.places, strict=True))
     since = dict.fromkeys(names, -TRY_S)

@@ -159,7 +159,7 @@ def test_a_robot_that_hears_anything_at_all_goes_on_surveying():
         )
         world._post["r1"] += heard
         world.step()
-    assert agent.net.fault(world.now_ns) is None
+    assert agent.transaction.fault(world.now_ns) is None
     assert agent.capabilities["survey"].surveyor.keyframes >= 1 and sum(agent.inbox.refused.values()) > 10
 
 
