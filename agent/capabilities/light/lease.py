@@ -8,8 +8,8 @@ Whoever asks is told by each neighbour that it obeys, or that it obeys another (
 time the one counts that has waited longer, then the one whose name comes first; the other gives up and obeys it. Who
 obeys takes no lease of a third before this one is over: its holder says so, or its time has run out.
 
-None of this makes sure that no lamp changes in a sweep: words get lost, lenders fall silent or are switched off. That
-is `proof`'s, which believes nothing but numbers that go up. So a fault here costs light and time, never truth.
+None of this makes sure that no lamp changes in a sweep: words get lost, lenders fall silent or are switched off. The
+lamp-constancy check below does that, by monotonic counters alone. So a fault here costs light and time, never truth.
 """
 
 from __future__ import annotations
@@ -273,7 +273,7 @@ def verdict(party: Party, before: Baseline, own: LampNow, after_seq: int) -> Ver
 
 
 # --- messages in and out ---
-# One robot's part in who has the light, between steps: words in and out, the lease, and the proof for its sweeps.
+# One robot's part in who has the light, between steps: words in and out, the lease, and the check of its sweeps.
 
 SLOW_NS = round(1e9 / LIGHT.hz)
 JUDGE_NS = 1_500_000_000  # after a sweep: by then all have been heard, or it does not count
