@@ -13,7 +13,7 @@ import typer
 
 from agent.core.config import ConfigError
 from agent.core.verbs import VERBS
-from agent.process.command import FleetFile, Port, RobotName, complain, new_file, refuse_options, run_folder
+from agent.process.command import FleetFile, Port, RobotName, complain, new_file, refuse_options, run_folder, terminal
 from agent.process.launch import until_signal
 from agent.robot.fleet_reader import load_fleet, load_robot
 
@@ -141,7 +141,6 @@ def explain(
 ) -> None:
     """How a robot decides."""
     from rich.box import SIMPLE
-    from rich.console import Console
     from rich.table import Table
 
     from agent.robot.arbiter import table
@@ -149,7 +148,7 @@ def explain(
     shown = Table("resource", "who", "in a sweep of", "while another has the light", "takes it when", box=SIMPLE)
     for row in table():
         shown.add_row(*row)
-    Console().print(shown)
+    terminal().print(shown)
 
 
 @app.command(epilog="Example: aucamp schemas --out schemas")

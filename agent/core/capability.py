@@ -15,6 +15,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, ClassVar, Generic, Literal, NamedTuple, Protocol, TypeVar
 
+import msgspec
 from msgspec import UNSET, UnsetType
 
 from agent.core.attitude import Attitude, AttitudeLog
@@ -46,7 +47,7 @@ class SearchView(NamedTuple):
     spirals: bool  # it has not looked everywhere around the last place yet
 
 
-class CameraView(NamedTuple):
+class CameraView(msgspec.Struct, frozen=True):
     """Gimbal and lens: of the step before until the camera is granted, then of this one."""
 
     goal_us: tuple[int, int] | None  # None: it has not been told anything yet
@@ -155,7 +156,7 @@ class Overrides(NamedTuple):
     send_hz: float | None = None
 
 
-class Situation(NamedTuple):
+class Situation(msgspec.Struct, frozen=True):
     """What one robot believes in one step. It holds nothing that changes."""
 
     now_ns: int
@@ -285,7 +286,8 @@ class Capability(Revertible):
         return None
 
     def propose(self, situation: Situation) -> Iterable[Proposal[Any]]:
-        """Who shall have what. It changes nothing, however often it is asked."""
+        """Who shall have what in this step; asked before anything is granted. It changes nothing, however often it is
+        asked. What depends on the camera of this step is for `act` to say."""
         return ()
 
     def settle(self, situation: Situation) -> Situation:

@@ -173,7 +173,8 @@ def speaker(word: Word) -> str:
 # there.
 
 ROWS = (list, deque, set)
-CONSTANT: set[type] = set()  # classes that a savepoint met and whose objects do not change
+MANY = 20  # things in one container
+CHANGES: dict[type, bool] = {}  # classes that a savepoint met, and whether their objects may change
 
 
 class Revertible:
@@ -221,9 +222,14 @@ class Savepoint:
                 self._objects.append((each.__dict__, dict(each.__dict__)))
                 held = each.__dict__.values()
             # Hundreds of one kind that never changes are passed over at once.
-            if unsure := set(map(type, held)) - CONSTANT:
-                CONSTANT.update(kind for kind in unsure if not changes(kind))
-                found += [one for one in held if type(one) not in CONSTANT]
+            if len(held) > MANY and not any(CHANGES.get(of, True) for of in set(map(type, held))):
+                continue
+            for one in held:
+                of = type(one)
+                if (may := CHANGES.get(of)) is None:
+                    may = CHANGES[of] = changes(of)
+                if may:
+                    found.append(one)
 
 
 def changes(kind: type) -> bool:

@@ -38,8 +38,8 @@ AGREE_PX = 2.0  # between the two sizes; what slid to another point does not
 MOST = 64  # pairs in a message, the clearest points first
 KEPT, OLDEST_NS = 0.6, 4_000_000_000  # a new key frame where fewer of the points are left, or it is older
 STILL_PX = 4.0  # from frame to frame: a robot that holds turns by less than 2 degrees a second
-# After a turn: longer than a servo may still be on its way by the commanded history of the gimbal (`GimbalHistory`), for
-# the kernel makes nothing of a key frame in which it does not know where the camera points.
+# After a turn: longer than a servo may still be on its way by the gimbal's commanded history (`GimbalHistory`), for the
+# kernel makes nothing of a key frame in which it does not know where the camera points.
 STILL_NS = 200_000_000
 
 

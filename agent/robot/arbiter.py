@@ -8,7 +8,7 @@ that a column leaves out.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 from msgspec import UNSET, UnsetType
 
@@ -149,6 +149,9 @@ PRIORITIES = (
 )
 
 
+ROWS = {resource: tuple(row for row in PRIORITIES if row.resource == resource) for resource in get_args(Resource)}
+
+
 class Arbiter(Revertible):
     """Of one robot, between steps."""
 
@@ -168,10 +171,8 @@ class Arbiter(Revertible):
             each.holder: each.act for each in proposals if each.resource == resource
         }
         sweep, lent = situation.camera.sweep, situation.light.phase == "obeys"
-        for row in PRIORITIES:
-            if row.resource != resource or row.holder not in asked:
-                continue
-            if sweep not in row.sweeps or (lent and not row.lent):
+        for row in ROWS[resource] if asked else ():
+            if row.holder not in asked or sweep not in row.sweeps or (lent and not row.lent):
                 continue
             if (command := asked[row.holder](situation)) is not None:
                 self.held[resource] = row.holder

@@ -6,12 +6,9 @@ The same inputs at the same times give the same bytes, which is what replay reli
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from itertools import chain
-from typing import Any
-
 import msgspec
 from msgspec import UNSET
+from msgspec.structs import replace
 
 from agent.core.attitude import AttitudeLog
 from agent.core.capability import (
@@ -21,7 +18,6 @@ from agent.core.capability import (
     CameraAct,
     Context,
     LampAct,
-    Proposal,
     Situation,
 )
 from agent.core.config import Fleet, common
@@ -80,18 +76,20 @@ class Agent(Revertible):
         outcome = self.measuring.measure(now_ns)
         self.measuring.iterate(situation.own, self.equipment, now_ns)
         situation = self._decide(situation)
-        camera: CameraAct = self.arbiter.grant("camera", self._proposals(situation), situation)
+        askers = self.operator, self.equipment, self.measuring
+        proposals = tuple(each for one in askers for each in one.propose(situation))
+        camera: CameraAct = self.arbiter.grant("camera", proposals, situation)
         self.target_search.carry_out(camera, now_ns)
         if camera.target is not None:  # that is tracked: by frames, which need no light
             self._light.released(now_ns)
         holder = self.arbiter.held["camera"]
-        situation = situation._replace(camera=self.target_search.view(now_ns), camera_holder=holder)
-        lamp: LampAct | None = self.arbiter.grant("lamp", self._proposals(situation), situation)
+        situation = replace(situation, camera=self.target_search.view(now_ns), camera_holder=holder)
+        lamp: LampAct | None = self.arbiter.grant("lamp", proposals, situation)
         situation = self.equipment.settle(situation)
         says = self.measuring.say(situation.orders.send_hz, situation.own and situation.own.pursues, now_ns)
         shown = self.inbox.refused, situation.camera.gimbal_deg, self.measuring.signed, self.operator.ordered, now_ns
         state, log = self.telemetry.state(*shown), self.status.log.fetch(now_ns)
-        body: BodyAct = self.arbiter.grant("body", self._proposals(situation), situation) or BodyAct()
+        body: BodyAct = self.arbiter.grant("body", proposals, situation) or BodyAct()
         self._situation = situation
         return Outputs(
             sweep=camera.plan,
@@ -116,7 +114,7 @@ class Agent(Revertible):
         self.attitude.extend(inputs.telemetry)
         self.target_search.see(inputs.telemetry, inputs.sightings, self._situation.light)
         level, camera, orders = self.attitude.now(now_ns), self.target_search.view(now_ns), self.operator.overrides
-        situation = self._situation._replace(now_ns=now_ns, level=level, camera=camera, orders=orders)
+        situation = replace(self._situation, now_ns=now_ns, level=level, camera=camera, orders=orders)
         situation = self.equipment.update(inputs, situation)
         self.target_search.view_sweep(situation.view_sweep)
         self.status.devices(inputs, self._faults(now_ns), self.attitude, now_ns)
@@ -126,15 +124,14 @@ class Agent(Revertible):
         """What is believed before anything is granted."""
         now_ns = situation.now_ns
         camera, own = self.target_search.view(now_ns), situation.own
-        situation = situation._replace(camera=camera, targets=self.measuring.views(own, (), now_ns))
-        situation = self.equipment.decide(situation)
-        self.target_search.search(situation.search)
+        if self.capabilities:
+            situation = replace(situation, camera=camera, targets=self.measuring.views(own, (), now_ns))
+            situation = self.equipment.decide(situation)
+            self.target_search.search(situation.search)
+            camera = self.target_search.view(now_ns)
         self.measuring.take_turns(own and own.pursues)
-        watched, camera = self.measuring.watched, self.target_search.view(now_ns)
-        return situation._replace(watched=watched, camera=camera, targets=self.measuring.views(own, (watched,), now_ns))
-
-    def _proposals(self, situation: Situation) -> Iterable[Proposal[Any]]:
-        return chain(*(one.propose(situation) for one in (self.operator, self.equipment, self.measuring)))
+        watched = self.measuring.watched
+        return replace(situation, watched=watched, camera=camera, targets=self.measuring.views(own, (watched,), now_ns))
 
     def _faults(self, now_ns: int) -> tuple[str, ...]:
         """What is wrong by the kernel's own account."""

@@ -63,6 +63,7 @@ class TargetSearch(Revertible):
         self._lit_seen_m: Vector | None = None  # the lit place that the gimbal was turned to
         self._view_sweep = False  # a sweep over whole frames is under way, of no target
         self._look_us = self._pulses_us(robot.look.pan_deg, robot.look.tilt_deg)
+        self._at_deg = self._look_us, gimbal_deg(self._camera, fleet.body, self._look_us)  # goal, and where that is
 
     @property
     def measuring(self) -> bool:
@@ -211,7 +212,10 @@ class TargetSearch(Revertible):
 
     def gimbal_deg(self) -> tuple[float, float]:
         """Pan and tilt at rest at the goal, by calibration."""
-        return gimbal_deg(self._camera, self._fleet.body, self.pointing.goal_us or self._look_us)
+        goal_us = self.pointing.goal_us or self._look_us
+        if self._at_deg[0] != goal_us:
+            self._at_deg = goal_us, gimbal_deg(self._camera, self._fleet.body, goal_us)
+        return self._at_deg[1]
 
     def _level(self, situation: Situation) -> Attitude:
         return situation.level or Attitude(self._robot.depth_m, 0.0, 0.0)

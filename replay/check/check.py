@@ -23,7 +23,7 @@ from agent.clock import machine
 from agent.core.codec import Refusal, decode, encode
 from agent.core.config import ConfigError
 from agent.core.messages import SCHEMA, State, Vector
-from agent.core.step_io import Outputs
+from agent.core.step_io import OLDER, Outputs
 from replay.check.compare import Ignored, load_ignored, only_younger
 from replay.check.reexecute import (
     STEP_BYTES,
@@ -129,10 +129,14 @@ def _heard(inputs: bytes) -> list[tuple[str, bytes]]:
 
 def _said(outputs: bytes) -> list[tuple[str, bytes]]:
     """What a step said to whom: its very bytes, which need not be of today's version."""
-    found = [each for field in ("says", "near", "claims", "keyframes", "light") for each in _list(outputs, field)]
+    found = [each for field in ("says", *OLDER) for each in _list(outputs, field)]
+    sent = _list(outputs, "outgoing")
     if not all(isinstance(each.get("dst"), str) for each in found):
         raise Refusal("content", "a message said to nobody")
-    return [(each["dst"], bytes(msgpack.packb(each))) for each in found]
+    if not all(isinstance(each.get("to"), str) and isinstance(each.get("payload"), bytes) for each in sent):
+        raise Refusal("content", "a message said to nobody, or no message")
+    said = [(each["dst"], bytes(msgpack.packb(each))) for each in found]
+    return [*said, *((each["to"], each["payload"]) for each in sent)]
 
 
 def _list(data: bytes, field: str) -> list[dict[str, Any]]:

@@ -100,7 +100,9 @@ def test_to_ask_for_proposals_changes_nothing(kind: str) -> None:
     for _ in range(100):
         world.step()
         for _ in range(3):
-            assert list(twin._proposals(twin._situation)) or True
+            assert [
+                each for one in (twin.operator, twin.equipment, twin.measuring) for each in one.propose(twin._situation)
+            ]
         assert encode(twin.step(world.inputs["r1"], world.now_ns)) == encode(world.outputs["r1"])
 
 

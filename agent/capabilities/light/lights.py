@@ -7,14 +7,15 @@ lamp goes with its own camera. A fleet without [lighting] has capability.DAYLIGH
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import Any, ClassVar
 
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from agent.capabilities.light.allocate import Choice, OrderedLight, others
-from agent.capabilities.light.lease import Talk, lit_by
+from agent.capabilities.light.lease import Party, Talk, lit_by
 from agent.capabilities.light.light_request import SHOWS, LightSearch, Requests, glimpsed_m
 from agent.capabilities.light.model import SCATTERS, WANDERS_PX, cues_by, whole
 from agent.capabilities.light.own_lamp import LOOK_NS, MARGIN_NS, OwnLamp, Turn, lamp_state
@@ -23,6 +24,7 @@ from agent.core.capability import (
     Capability,
     Context,
     Illumination,
+    LampAct,
     LightView,
     Outgoing,
     Proposal,
@@ -98,7 +100,7 @@ class Light(Capability, Illumination):
         elif turn.phase == "holds" and turn.exposure == "none" and own is not None and own.glances:
             self._end(now_ns)  # its camera is at landmarks: the light is others' meanwhile
         self.own.tick(self._talk.party, own, now_ns)
-        return situation._replace(light=situation.light._replace(phase=turn.phase))
+        return replace(situation, light=situation.light._replace(phase=turn.phase))
 
     # --- sweeps -----------------------------------------------------------------------------------------------
 
@@ -231,18 +233,35 @@ class Light(Capability, Illumination):
     # --- the own lamp -----------------------------------------------------------------------------------------
 
     def propose(self, situation: Situation) -> Iterable[Proposal[Any]]:
-        return self.own.propose(self._talk.party, situation.camera.measuring or self.judging, self._level)
+        """Row by row of the table of priorities."""
+        rows: tuple[tuple[str, Callable[[Party, Situation], LampAct | None]], ...] = (
+            ("safe", self.own.safe),
+            ("operator", self.own.by_operator),
+            ("sweep", self._keep),
+            ("lent", self.own.lent),
+            ("lease", self.own.leased),
+            ("camera", self.own.with_camera),
+        )
+        for holder, act in rows:
+            yield Proposal("lamp", holder, partial(self._burn, act))
+
+    def _burn(self, act: Callable[[Party, Situation], LampAct | None], at: Situation) -> LampAct | None:
+        return act(self._talk.party, replace(at, level=self._level))
+
+    def _keep(self, party: Party, at: Situation) -> LampAct | None:
+        """Light does not change in a sweep of this robot's."""
+        return self.own.kept(party, at) if at.camera.measuring or self.judging else None
 
     def settle(self, situation: Situation) -> Situation:
         """By which light the camera sees from now on."""
-        seen = situation._replace(level=self._level)
+        seen = replace(situation, level=self._level)
         from_ns = self._lit_from(situation.light.from_ns, situation.now_ns)
         target_m, place_m = situation.target.believed_m, None
         if target_m is None and situation.search is None:
             place_m = self._search.follows(self._talk.party, seen)
         self._wanted_lens = self._requests.sharp_at(target_m or place_m, seen)
         still = self._turn.phase in ("holds", "obeys")  # light that is lent, or looked by, does not move
-        return situation._replace(light=LightView(self._turn.phase, from_ns, place_m, still))
+        return replace(situation, light=LightView(self._turn.phase, from_ns, place_m, still))
 
     @property
     def _level(self) -> Attitude | None:

@@ -4,7 +4,6 @@ light.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Literal, NamedTuple
 
 from agent.capabilities.light.allocate import (
@@ -20,7 +19,7 @@ from agent.capabilities.light.allocate import (
 )
 from agent.capabilities.light.lease import Bound, Party, Phase, Talk, lit_by
 from agent.core.attitude import Attitude, AttitudeLog
-from agent.core.capability import LampAct, OwnView, Proposal, Situation, Spoiled, eye_of
+from agent.core.capability import LampAct, OwnView, Situation, Spoiled, eye_of
 from agent.core.capability_messages import LampNow, Lease, Why
 from agent.core.config import Fleet, Lighting
 from agent.core.messages import LampState
@@ -78,46 +77,34 @@ class OwnLamp(Revertible):
         self.lamp = warmed(self.lamp, now_ns)
         self._show(party, own, now_ns)
 
-    def propose(self, party: Party, keeps: bool, level: Attitude | None) -> Iterable[Proposal[LampAct]]:
-        """How it burns from now on, row by row of the table of priorities. keeps: a sweep of its robot's is under way.
-        level: by the newest telemetry, however old.
-
-        It goes dark at once, whatever is under way, where the control module is silent, disarmed or surfacing, the
-        battery is empty or the lamp too warm.
-        """
-        return (
-            Proposal("lamp", "safe", lambda at: self._safe(party, at._replace(level=level))),
-            Proposal("lamp", "operator", lambda at: self._by_operator(party, at._replace(level=level))),
-            Proposal("lamp", "sweep", lambda at: self._keeps(party, at._replace(level=level)) if keeps else None),
-            Proposal("lamp", "lent", lambda at: self._lent(party, at._replace(level=level))),
-            Proposal("lamp", "lease", lambda at: self._leased(party, at._replace(level=level))),
-            Proposal("lamp", "camera", lambda at: self._with_camera(party, at._replace(level=level))),
-        )
+    # --- how it burns from now on, row by row of the table of priorities --------------------------------------------
+    # It goes dark at once, whatever is under way, where the module is silent, disarmed or surfacing, the battery is empty
+    # or the lamp too warm. at.level: by the newest telemetry, however old.
 
     def _burn(self, power: float, us: tuple[int, int], party: Party, at: Situation) -> LampAct:
         self.lamp = command(self.lamp, power, us, at.now_ns)
         self._show(party, at.own, at.now_ns)
         return LampAct(self.lamp.power, self.lamp.us)
 
-    def _safe(self, party: Party, at: Situation) -> LampAct | None:
+    def safe(self, party: Party, at: Situation) -> LampAct | None:
         silent = self._attitude.silent(at.now_ns, 0)
         unsafe = at.level is None or cannot(self.has, self.lamp, self._attitude.newest, silent)
         return self._burn(0.0, self.lamp.us, party, at) if unsafe else None
 
-    def _by_operator(self, party: Party, at: Situation) -> LampAct | None:
+    def by_operator(self, party: Party, at: Situation) -> LampAct | None:
         return None if self._ordered is None else self._burn(*self._as_ordered(party, self._ordered), party, at)
 
-    def _keeps(self, party: Party, at: Situation) -> LampAct:
+    def kept(self, party: Party, at: Situation) -> LampAct:
         return self._burn(self.lamp.power, self.lamp.us, party, at)
 
-    def _lent(self, party: Party, at: Situation) -> LampAct | None:
+    def lent(self, party: Party, at: Situation) -> LampAct | None:
         """By a neighbour's lease."""
         if party.bound is None or at.level is None:
             return None
         self._us = None
         return self._burn(*self._obedient(self._obey(party.bound, at, at.level), at), party, at)
 
-    def _leased(self, party: Party, at: Situation) -> LampAct | None:
+    def leased(self, party: Party, at: Situation) -> LampAct | None:
         """By the own lease."""
         self._obeyed = None
         if party.mine is None or not party.mine.granted or at.level is None:
@@ -128,7 +115,7 @@ class OwnLamp(Revertible):
             self._us = self.aim.at(at_m, at.pose, at.level)[0]
         return self._burn(1.0 if self._name in lit_by(party) else 0.0, self._us, party, at)
 
-    def _with_camera(self, party: Party, at: Situation) -> LampAct:
+    def with_camera(self, party: Party, at: Situation) -> LampAct:
         """Beside its camera."""
         self._us = None
         level = at.level or Attitude(0.0, 0.0, 0.0)

@@ -10,6 +10,8 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, Literal, NamedTuple
 
+from msgspec.structs import replace
+
 from agent.capabilities.light.allocate import FrameScene
 from agent.capabilities.survey.candidates import (
     CANDIDATES,
@@ -436,7 +438,7 @@ class Survey(Capability):
         if surveyor.missed(now_ns):
             self._light.failed(now_ns)
             self._log.note("warning", "a view's sweep did not end in time", now_ns)
-        return situation._replace(view_sweep=surveyor.sweeps, station=self._station())
+        return replace(situation, view_sweep=surveyor.sweeps, station=self._station())
 
     def _judged(self, swept: Swept, found: Spoiled | bool, now_ns: int) -> None:
         surveyor = self.surveyor

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any, ClassVar
 
 from msgspec import UnsetType
+from msgspec.structs import replace
 
 from agent.capabilities.swim.deconfliction import Neighbours
 from agent.capabilities.swim.pose_filter import Belief
@@ -66,18 +67,18 @@ class Swim(Capability, PoseSource):
         seen = inputs.landmarks or (), inputs.flow or ()
         self.swimmer.see(*seen, self._attitude, situation.camera, now_ns)
         neighbours = neighbour_views(self.swimmer.deconfliction.neighbours, now_ns)
-        return situation._replace(own=self._own(now_ns), neighbours=neighbours)
+        return replace(situation, own=self._own(now_ns), neighbours=neighbours)
 
     def decide(self, situation: Situation) -> Situation:
         swimmer, now_ns, did = self.swimmer, situation.now_ns, self.swimmer.does
         by = self.aided_by
         pose = swimmer.steer(None if by is None else situation.about(by).by_others, now_ns) or situation.pose
-        search = swimmer.heed(situation._replace(pose=pose))
+        search = swimmer.heed(replace(situation, pose=pose))
         if swimmer.does != did:
             self._log.note("info", f"{did} is over, now {swimmer.does}", now_ns)
         assert situation.own is not None
         own = situation.own._replace(best=motion(swimmer.here), does=swimmer.does)
-        return situation._replace(pose=pose, search=search, own=own)
+        return replace(situation, pose=pose, search=search, own=own)
 
     def _own(self, now_ns: int) -> OwnView:
         swimmer, here = self.swimmer, self.swimmer.localizer.at(now_ns)
@@ -105,9 +106,8 @@ class Swim(Capability, PoseSource):
     # --- what it wants ----------------------------------------------------------------------------------------
 
     def propose(self, situation: Situation) -> Iterable[Proposal[Any]]:
-        goes = self.pursuit.goes_with(situation)
         return (
-            Proposal("camera", "landmarks", lambda at: self.swimmer.glance(goes, at)),
+            Proposal("camera", "landmarks", lambda at: self.swimmer.glance(self.pursuit.goes_with(at), at)),
             Proposal("camera", "pursuit", self.pursuit.look),
             Proposal("body", "off", self.swimmer.off),
             Proposal("body", "behaviour", self.swimmer.behave),

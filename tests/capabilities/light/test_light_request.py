@@ -184,4 +184,4 @@ def test_a_robot_with_a_search_pattern_of_its_own_asks_for_no_light() -> None:
     here.act(at(here, 0), False)
     search.look(at(here, 0))
     assert search.look(at(here, 10**10))
-    assert not search.look(at(here, 10**10)._replace(search=SearchPlan("ball", (), ((0.0, 0.0),))))
+    assert not search.look(replace(at(here, 10**10), search=SearchPlan("ball", (), ((0.0, 0.0),))))
