@@ -19,7 +19,7 @@ import msgspec
 from msgspec import UNSET, UnsetType
 
 from agent.core.attitude import Attitude, AttitudeLog
-from agent.core.config import Behaviour, Cues, Fleet, Pose, Target
+from agent.core.config import Behaviour, Cues, Fleet, Pose, Struct, Target
 from agent.core.estimation.interface import Bearing, Posterior, Prior
 from agent.core.messages import Message, Vector
 from agent.core.ranging.camera_model import Calibration, Eye, camera_pose
@@ -228,6 +228,21 @@ class Proposal(NamedTuple, Generic[T]):
     act: Callable[[Situation], T | None]
 
 
+Sweep = Literal["none", "target", "view"]
+ANY: tuple[Sweep, ...] = ("none", "target", "view")
+
+
+class Row(NamedTuple):
+    """Of the table of priorities: who may ask for a resource."""
+
+    resource: Resource
+    holder: str
+    why: str  # it takes the resource
+    sweeps: tuple[Sweep, ...] = ANY  # sweeps in which it is asked
+    lent: bool = True  # also while a neighbour has the light
+    above: str = ""  # of a row that a capability brings: the holder of that resource which it stands right above
+
+
 class Outgoing(NamedTuple):
     """One message to one neighbour."""
 
@@ -250,6 +265,7 @@ class Context(NamedTuple):
     log: Logbook  # to write lines
     light: Illumination
     source: PoseSource
+    settings: Any = None  # its own table of the fleet file
 
 
 class Capability(Revertible):
@@ -260,11 +276,18 @@ class Capability(Revertible):
     """
 
     name: ClassVar[str]
-    table: ClassVar[str]  # of the fleet file
+    table: ClassVar[str]  # of the fleet file: a field of config.Fleet, or extend.NAME
     does: ClassVar[str]  # of a robot that has it, in the refusal of its messages where that table is missing
     lacks: ClassVar[str] = ""  # in the refusal of its commands where it is missing
     topics: ClassVar[tuple[Topic, ...]] = ()
     commands: ClassVar[tuple[type, ...]] = ()  # of operators, that it alone carries out
+    settings: ClassVar[type[Struct] | None] = None  # what the table extend.NAME has to be
+    rows: ClassVar[tuple[Row, ...]] = ()  # that it brings to the table of priorities
+
+    @classmethod
+    def broken_rules(cls, fleet: Fleet) -> Iterable[tuple[str, str]]:
+        """What `settings` cannot say of its table extend.NAME, each mistake as (key, what to change)."""
+        return ()
 
     def __init__(self, context: Context) -> None:
         """One robot's."""

@@ -310,6 +310,7 @@ class Fleet(Struct, frozen=True, kw_only=True):
     navigation: Navigation | None = None  # none: every robot is moored where `pose` says
     coverage: Coverage | None = None  # none: no keyframes, robots do not say what they have seen
     lighting: Lighting | None = None  # none: no lamp burns
+    extend: dict[Name, dict[str, Any]] | None = None  # tables of capabilities that are not built in, as they check them
     twin: Twin = Twin()
 
     @property
@@ -365,12 +366,17 @@ NAME_RULE = "a name is a small letter and up to 15 small letters, digits or _"
 
 def explain(error: msgspec.ValidationError, data: dict[str, Any], kind: Any) -> str:
     """One sentence about the first mistake in `data`, which could not be converted to the struct `kind`."""
+    key, remedy = mistake(error, data, kind)
+    return f"key '{key or 'top level'}': {remedy}"
+
+
+def mistake(error: msgspec.ValidationError, data: dict[str, Any], kind: Any) -> tuple[str, str]:
+    """That mistake as (key, what to change); "": a key of `data` itself is missing or unknown."""
     what, _, where = str(error).partition(" - at `")
     path = where.rstrip("`").replace("[...]", f".{ANY}").split(".")[1:]
     if where.startswith("key`"):  # the name of a table is itself the mistake
         path.append(ANY)
-    key = ".".join(_named(path, data, kind, str(error))) or "top level"
-    return f"key '{key}': {_remedy(what, path, kind)}"
+    return ".".join(_named(path, data, kind, str(error))), _remedy(what, path, kind)
 
 
 def _named(path: list[str], data: dict[str, Any], kind: Any, error: str) -> list[str]:
@@ -443,6 +449,8 @@ def common(fleet: Fleet) -> str:
     if fleet.lighting is not None:  # which robots have a lamp, and when it is lent
         shared["lighting"] = msgspec.to_builtins(fleet.lighting)
         shared["lamp"] = sorted(name for name, robot in fleet.robot.items() if robot.lamp)
+    if fleet.extend is not None:  # only the capabilities know which of it robots have to agree on
+        shared["extend"] = fleet.extend
     text = msgspec.json.encode(_plain(shared), order="sorted")
     return hashlib.sha256(text).hexdigest()[:16]
 

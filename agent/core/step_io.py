@@ -203,7 +203,7 @@ class Grant(Message, frozen=True, kw_only=True):
     """Who has a resource from this step on."""
 
     resource: Literal["camera", "body", "lamp"]
-    holder: Id  # a row of the table of priorities
+    holder: Id  # a row of the table of priorities, or nobody
 
 
 class Outputs(Message, frozen=True, kw_only=True):

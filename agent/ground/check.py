@@ -29,6 +29,7 @@ from agent.ground.check_files import (
     twin_findings,
     watchers_here,
 )
+from agent.robot.arbiter import broken_extend_rules
 from agent.robot.fleet_reader import broken_rules, load_fleet, load_robot, read_fleet, two_worlds
 from hw.camera.open import known_scheme, open_camera
 from hw.camera.v4l2_node import find
@@ -151,7 +152,7 @@ def mistakes_in(path: Path) -> Iterator[Finding]:
     except ConfigError as error:
         yield Finding("wrong", "file", str(error))
         return
-    for key, remedy in broken_rules(fleet):
+    for key, remedy in (*broken_rules(fleet), *broken_extend_rules(fleet)):
         yield Finding("wrong", "file", f"{path}: key '{key}': {remedy}")
 
 

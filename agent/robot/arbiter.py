@@ -7,15 +7,17 @@ that a column leaves out.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from typing import Any, Literal, NamedTuple, get_args
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, get_args
 
+import msgspec
 from msgspec import UNSET, UnsetType
 
 from agent.capabilities.light.lights import Light
 from agent.capabilities.survey.survey import Survey
 from agent.capabilities.swim.swim import Swim
 from agent.core.capability import (
+    ANY,
     Capability,
     Context,
     Illumination,
@@ -23,9 +25,11 @@ from agent.core.capability import (
     PoseSource,
     Proposal,
     Resource,
+    Row,
     Situation,
 )
 from agent.core.codec import Refusal, encode
+from agent.core.config import ConfigError, Fleet, mistake
 from agent.core.estimation.interface import Bearing, Posterior
 from agent.core.step_io import Grant, Heard, Inputs, Said
 from agent.core.step_transaction import Revertible
@@ -35,6 +39,36 @@ from agent.core.verbs import Args
 
 # In the order in which they are asked: a later one may go by what an earlier one adds to the situation.
 CAPABILITIES: tuple[type[Capability], ...] = (Swim, Light, Survey)
+EXTEND = "extend."  # begins the name of a table of a capability that is not built in
+
+
+def table_of(fleet: Fleet, kind: type[Capability]) -> Any:
+    """Its table of a fleet file; None where it has none."""
+    if not kind.table.startswith(EXTEND):
+        return getattr(fleet, kind.table)
+    return (fleet.extend or {}).get(kind.table.removeprefix(EXTEND))
+
+
+def _settings(table: Any, kind: type[Capability]) -> Any:
+    """Its table as it wants it. Raises msgspec.ValidationError."""
+    return table if kind.settings is None else msgspec.convert(table, kind.settings)
+
+
+def broken_extend_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
+    """Every mistake in [extend] as (key, what to change)."""
+    known = {kind.table: kind for kind in CAPABILITIES}
+    for name, table in (fleet.extend or {}).items():
+        key = EXTEND + name
+        if (kind := known.get(key)) is None:
+            yield key, "no capability has this table; correct its name, or add the row in agent/robot/arbiter.py"
+            continue
+        try:
+            _settings(table, kind)
+        except msgspec.ValidationError as error:
+            where, remedy = mistake(error, table, kind.settings)
+            yield f"{key}.{where}".rstrip("."), remedy
+        else:
+            yield from kind.broken_rules(fleet)
 
 
 class Equipment(Capability):
@@ -43,12 +77,15 @@ class Equipment(Capability):
     name, table, does = "equipment", "", "is equipped"
 
     def __init__(self, context: Context) -> None:
-        """Those whose table stands in the fleet file. The last that says where the robot was, or lights, counts."""
+        """Those whose table stands in the fleet file. The last that says where the robot was, or lights, counts. Raises
+        ConfigError for a mistake in [extend]."""
+        for key, remedy in broken_extend_rules(context.fleet):
+            raise ConfigError(f"fleet file: key '{key}': {remedy}")
         self.by_name: dict[str, Capability] = {}
         for kind in CAPABILITIES:
-            if getattr(context.fleet, kind.table) is None:
+            if (table := table_of(context.fleet, kind)) is None:
                 continue
-            one = self.by_name[kind.name] = kind(context)
+            one = self.by_name[kind.name] = kind(context._replace(settings=_settings(table, kind)))
             if isinstance(one, PoseSource):
                 context = context._replace(source=one)
             if isinstance(one, Illumination):
@@ -113,20 +150,6 @@ class Equipment(Capability):
 
 # --- priorities ---
 
-Sweep = Literal["none", "target", "view"]
-ANY: tuple[Sweep, ...] = ("none", "target", "view")
-
-
-class Row(NamedTuple):
-    """Who may ask for a resource."""
-
-    resource: Resource
-    holder: str
-    why: str  # it takes the resource
-    sweeps: tuple[Sweep, ...] = ANY  # sweeps in which it is asked
-    lent: bool = True  # also while a neighbour has the light
-
-
 # Of each resource the highest first. The last row of a resource always takes it.
 PRIORITIES = (
     Row("camera", "landmarks", "it knows too little of where it is", ("none",), lent=False),
@@ -149,13 +172,29 @@ PRIORITIES = (
 )
 
 
-ROWS = {resource: tuple(row for row in PRIORITIES if row.resource == resource) for resource in get_args(Resource)}
+def priorities() -> tuple[Row, ...]:
+    """The table, with the rows that capabilities bring. Raises ConfigError for one that has no place in it."""
+    rows = list(PRIORITIES)
+    for kind in CAPABILITIES:
+        for row in kind.rows:
+            holders = [each.holder if each.resource == row.resource else None for each in rows]
+            if row.above not in holders:
+                known = ", ".join(holder for holder in holders if holder is not None)
+                why = f"its row of the {row.resource} is to stand above '{row.above}'; write one of {known}"
+                raise ConfigError(f"capability '{kind.name}': {why}")
+            rows.insert(holders.index(row.above), row)
+    return tuple(rows)
+
+
+NOBODY = "nobody"  # has a resource that one row has had, and that none takes now
 
 
 class Arbiter(Revertible):
     """Of one robot, between steps."""
 
     def __init__(self) -> None:
+        rows = priorities()
+        self._rows = {kind: tuple(row for row in rows if row.resource == kind) for kind in get_args(Resource)}
         self.held: dict[Resource, str] = {}  # by which row, in the newest step
         self._told: dict[Resource, str] = {}  # likewise, as it was told last
 
@@ -166,17 +205,23 @@ class Arbiter(Revertible):
         return tuple(Grant(resource=resource, holder=holder) for resource, holder in new.items())
 
     def grant(self, resource: Resource, proposals: Iterable[Proposal[Any]], situation: Situation) -> Any:
-        """The command of the first row that takes the resource; None where nobody proposes anything."""
+        """The command of the first row that takes the resource; None where nobody proposes anything. Raises LookupError
+        for a proposal of no row."""
         asked: Mapping[str, Callable[[Situation], Any]] = {
             each.holder: each.act for each in proposals if each.resource == resource
         }
         sweep, lent = situation.camera.sweep, situation.light.phase == "obeys"
-        for row in ROWS[resource] if asked else ():
+        rows = self._rows[resource]
+        for holder in asked.keys() - {row.holder for row in rows}:
+            raise LookupError(f"no row '{holder}' of the {resource} in the table of priorities")
+        for row in rows if asked else ():
             if row.holder not in asked or sweep not in row.sweeps or (lent and not row.lent):
                 continue
             if (command := asked[row.holder](situation)) is not None:
                 self.held[resource] = row.holder
                 return command
+        if resource in self.held:
+            self.held[resource] = NOBODY
         return None
 
 
@@ -190,5 +235,5 @@ def table() -> tuple[tuple[str, str, str, str, str], ...]:
             "yes" if row.lent else "no",
             row.why,
         )
-        for row in PRIORITIES
+        for row in priorities()
     )

@@ -32,6 +32,13 @@ def test_a_fleet_may_look_for_several_things(tmp_path) -> None:
     assert load(tmp_path, dump(fleet)) == fleet
 
 
+def test_tables_of_other_capabilities_survive_a_round_trip_as_they_are(tmp_path) -> None:
+    fleet = load(tmp_path, TANK + "\n[extend.hum]\ntone_hz = 50\nin = { r1 = [1, 2.5], at = true }\n")
+    assert fleet.extend == {"hum": {"tone_hz": 50, "in": {"r1": [1, 2.5], "at": True}}}
+    assert load(tmp_path, dump(fleet)) == fleet
+    assert "extend" not in dump(load(tmp_path, TANK))
+
+
 def test_files_of_a_target_lie_beside_the_fleet_file(tmp_path) -> None:
     fleet = load(tmp_path, TANK.replace(BALL, 'detector = "box"\npicture = "a/x.png"\nbox = [1, 2, 30, 40]'))
     target = fleet.target["ball"]
@@ -201,6 +208,7 @@ def test_sixteen_digits_the_same_from_every_start_of_python() -> None:
         {"target": {"buoy": Target(radius_m=0.07)}},
         {"target": {"ball": Target(radius_m=0.07), "buoy": Target(radius_m=0.07)}},
         {"target": {"ball": Target(radius_m=0.07, speed_m_s=0.2, turn_s=2.0)}},
+        {"extend": {"hum": {"tone_hz": 50}}},
         {"target": {"ball": Target(detector="box", picture="ball.png", box=(1.0, 2.0, 30.0, 40.0))}},
     ],
 )

@@ -78,8 +78,8 @@ class OwnLamp(Revertible):
         self._show(party, own, now_ns)
 
     # --- how it burns from now on, row by row of the table of priorities --------------------------------------------
-    # It goes dark at once, whatever is under way, where the module is silent, disarmed or surfacing, the battery empty or
-    # the lamp too warm. at.level: by the newest telemetry, however old.
+    # It goes dark at once, whatever is under way, where the module is silent, disarmed or surfacing, the battery
+    # is empty or the lamp too warm. at.level: by the newest telemetry, however old.
 
     def _burn(self, power: float, us: tuple[int, int], party: Party, at: Situation) -> LampAct:
         self.lamp = command(self.lamp, power, us, at.now_ns)
