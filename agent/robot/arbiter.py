@@ -212,7 +212,7 @@ class Arbiter(Revertible):
         }
         sweep, lent = situation.camera.sweep, situation.light.phase == "obeys"
         rows = self._rows[resource]
-        for holder in asked.keys() - {row.holder for row in rows}:
+        for holder in sorted(asked.keys() - {row.holder for row in rows}):
             raise LookupError(f"no row '{holder}' of the {resource} in the table of priorities")
         for row in rows if asked else ():
             if row.holder not in asked or sweep not in row.sweeps or (lent and not row.lent):

@@ -22,7 +22,7 @@ def eye() -> Eye:
 @pytest.mark.parametrize(("burned", "aside"), [((), False), (("r1",), False), (("r2",), True), (("r1", "r2"), True)])
 def test_by_anothers_lamp_a_peak_scatters_and_an_outline_wanders(burned, aside) -> None:
     fleet = lit_fleet()
-    lights = Agent(fleet, "r1", CALIBRATION, 1).light
+    lights = Agent(fleet, "r1", CALIBRATION, 1).equipment.light
     lights._turn.burned = burned
     outline, sigma, cues = lights.corrected(PEAK, eye(), fleet.target["ball"], "both")
     assert sigma == PEAK.sigma * (SCATTERS if aside else 1.0)
@@ -32,5 +32,5 @@ def test_by_anothers_lamp_a_peak_scatters_and_an_outline_wanders(burned, aside) 
 
 def test_by_day_nothing_of_it_is_known() -> None:
     fleet = lit_fleet(lighting=None)
-    lights = Agent(fleet, "r1", CALIBRATION, 1).light
+    lights = Agent(fleet, "r1", CALIBRATION, 1).equipment.light
     assert lights.corrected(PEAK, eye(), fleet.target["ball"], "both") == (PEAK.outline, PEAK.sigma, "both")
