@@ -225,22 +225,27 @@ class Outputs(Message, frozen=True, kw_only=True):
 
     @classmethod
     def upgraded(cls, fields: dict[str, Any]) -> dict[str, Any]:
-        """Outputs as older recordings have them: each topic of a capability was a field of its own."""
-        if not fields.keys() & OLDER.keys():
-            return fields
-        said = [
-            {"topic": topic, "to": each.get("dst"), "payload": msgpack.packb(each)}
-            for name, topic in OLDER.items()
-            for each in fields.get(name, ())
-            if isinstance(each, dict)
-        ]
-        return {**{name: held for name, held in fields.items() if name not in OLDER}, "outgoing": said}
+        """Outputs as older recordings have them: each topic of a capability was a field of its own. Fields that hold no
+        messages stay, and are refused as unknown ones."""
+        said = []
+        for name in OLDER.keys() & fields.keys():
+            if not isinstance(fields[name], list) or not all(map(_to_somebody, fields[name])):
+                return fields
+        for name, topic in OLDER.items():
+            words = fields.get(name, ())
+            said += [{"topic": topic, "to": each["dst"], "payload": msgpack.packb(each)} for each in words]
+        kept = {name: held for name, held in fields.items() if name not in OLDER}
+        return kept | {"outgoing": said} if len(kept) < len(fields) else fields
 
     def said(self, topic: Topic) -> Iterator[Any]:
         """What neighbours are told on a topic, decoded."""
         for each in self.outgoing or ():
             if each.topic == topic.name:
                 yield decode(each.payload, topic.message, topic.limit, READABLE)
+
+
+def _to_somebody(message: Any) -> bool:
+    return isinstance(message, dict) and isinstance(message.get("dst"), str)
 
 
 OLDER = {"near": "near", "claims": "claim", "keyframes": "keyframe", "light": "light"}  # field, and topic

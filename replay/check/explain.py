@@ -228,7 +228,7 @@ def _lamp(robot: str, lamp: LampState) -> str:
 def _held(resource: str, held: Held) -> str:
     """Who has a resource, since when, and why."""
     why = next((row.why for row in priorities() if (row.resource, row.holder) == (resource, held.holder)), "")
-    return f"{resource.capitalize()}: {held.holder}, since {held.since_s:.2f} s{f', for {why}' if why else ''}."
+    return f"{resource.capitalize()}: '{held.holder}' has had it since {held.since_s:.2f} s{f': {why}' if why else ''}."
 
 
 def _knows(state: State) -> str:

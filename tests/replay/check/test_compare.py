@@ -10,6 +10,7 @@ import msgpack
 import pytest
 
 from agent.core.config import ConfigError
+from agent.core.step_io import OLDER
 from agent.perception.vision import rerun_vision
 from replay.check.check import check, text, update_recordings
 from replay.check.compare import ABSENT, Difference, differences, must_differ
@@ -60,6 +61,39 @@ def test_todays_kernel_does_what_it_did_then() -> None:
 def test_another_behaviour_is_noticed_all_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("agent.robot.targets.LATEST_ITERATION", 1.4)
     assert check([OLD]).exit_code == 1
+
+
+def without_grants(record: Record) -> bytes:
+    """As robots recorded it that did not say who has what, and had a field for each topic."""
+    if record.channel != "/raw/step_out":
+        return record.data
+    fields = msgpack.unpackb(record.data)
+    fields.pop("grants", None)
+    for said in fields.pop("outgoing", ()):
+        name = next(name for name, topic in OLDER.items() if topic == said["topic"])
+        fields.setdefault(name, []).append(msgpack.unpackb(said["payload"]))
+    return msgpack.packb(fields)
+
+
+def test_a_recording_from_before_grants_is_compared_but_for_them(tmp_path: Path) -> None:
+    old = rewritten(GOLDEN / "dark_survey" / "r1.mcap", tmp_path / "r1.mcap", without_grants)
+    checked = check([old])
+    assert checked.exit_code == 0, text(checked)
+    assert "recorded before robots said who has camera, body and lamp" in text(checked)
+
+
+def test_a_grant_that_is_missing_is_a_difference(tmp_path: Path) -> None:
+    """Of a recording that says who has what at its beginning."""
+
+    def change(record: Record) -> bytes:
+        if record.channel != "/raw/step_out" or record.sequence < 50:
+            return record.data
+        fields = msgpack.unpackb(record.data)
+        fields.pop("grants", None)
+        return msgpack.packb(fields)
+
+    checked = check([rewritten(GOLDEN / "dark_survey" / "r1.mcap", tmp_path / "r1.mcap", change)])
+    assert checked.exit_code == 1 and "grants" in text(checked)
 
 
 @pytest.mark.parametrize("schema", ["3", "x" * 9000])
