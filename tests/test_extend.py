@@ -136,7 +136,7 @@ def test_what_is_said_of_a_wrong_capability(clone: Clone) -> None:
 
 def test_what_is_said_of_rows_that_do_not_fit(clone: Clone) -> None:
     file = "agent/capabilities/blink.py"
-    rows = "safe, operator, sweep, lent, lease, camera"
+    rows = "operator, sweep, lent, lease, camera"
     place = told(f"capability 'blink': its row of the lamp is to stand above 'cam'; write one of {rows}")
     with clone.edited(file, 'above="camera"', 'above="cam"'):
         assert place in clone.run("try_blink.py")

@@ -2,8 +2,8 @@
 file.
 
 In each step the robot assembles one `Situation`, which never changes once it is made. A capability adds its own fields
-to it, proposes who shall have camera, body and lamp, and is told nothing else of the other capabilities. Who gets what
-is decided by one table of priorities (agent/robot/arbiter.py). A proposal names a resource and a row of that table. The
+to it, proposes who shall have camera, body and lamp, and is told nothing else of the other capabilities. One table of
+priorities decides who gets what (agent/robot/arbiter.py). A proposal names a resource and a row of that table. The
 command is made by its `act` after the grant; `act` may decline with None, and then the next row is asked.
 
 Two more seams serve the measurement of targets: `Illumination`, which says by which light a sweep is made, and
@@ -135,8 +135,9 @@ class TargetView(NamedTuple):
     """What the robot knows of one target."""
 
     name: str
-    believed: Posterior | None  # None as well of a target that is neither watched nor what a behaviour is about
-    pending: bool  # a measurement awaits the next iteration
+    believed: (
+        Posterior | None
+    )  # None as well of one that is neither watched (from propose on) nor what a behaviour is about
     by_others: Posterior | None = None  # where all but this robot see it; of the target that aids the own pose
     estimate: TargetEstimate | None = None  # what the fleet agrees on; of the target of the behaviour
 
@@ -209,7 +210,7 @@ class BodyAct(NamedTuple):
 
     force_n: tuple[float, float] = (0.0, 0.0)  # ahead, to the left
     moment_nm: float = 0.0
-    depth_m: float | None = None
+    depth_m: float | None = None  # None: as operators or the fleet file say
 
 
 class LampAct(NamedTuple):
@@ -280,7 +281,7 @@ class Capability(Revertible):
     does: ClassVar[str]  # of a robot that has it, in the refusal of its messages where that table is missing
     lacks: ClassVar[str] = ""  # in the refusal of its commands where it is missing
     topics: ClassVar[tuple[Topic, ...]] = ()
-    commands: ClassVar[tuple[type, ...]] = ()  # of operators, that it alone carries out
+    commands: ClassVar[tuple[type, ...]] = ()  # of operators; `Resume` and `HoldHere` come to all
     settings: ClassVar[type[Struct] | None] = None  # what the table extend.NAME has to be
     rows: ClassVar[tuple[Row, ...]] = ()  # that it brings to the table of priorities
 
@@ -296,12 +297,13 @@ class Capability(Revertible):
         """A payload on a key of one of its topics; accepted: schemas. Raises Refusal where it is not believed."""
 
     def update(self, inputs: Inputs, situation: Situation) -> Situation:
-        """Take in what the devices gave, before targets are measured. situation: camera and light of the step before.
-        Returns it with its own fields as they are now."""
+        """Take in what the devices gave, before targets are measured. situation: camera, light and targets of the step
+        before. Returns it with its own fields as they are now."""
         return situation
 
     def decide(self, situation: Situation) -> Situation:
-        """Go on, once targets are estimated. Returns the situation with its own fields as they are now."""
+        """Go on, once targets are estimated; which one is watched in this step, and what is believed of that one, is
+        known when camera, lamp and body are granted. Returns the situation with its own fields as they are now."""
         return situation
 
     def bearing(self, target: str, believed: Callable[[], Posterior | None], now_ns: int) -> Bearing | None:
@@ -435,6 +437,9 @@ class PoseSource(Revertible):
     def settled(self, now_ns: int) -> tuple[str, Prior] | None:
         """The newest that was kept, and its target, once it is known better, once."""
         return None
+
+    def thrusts(self, body: BodyAct, now_ns: int) -> None:
+        """What the thrusters do from now on, whichever row has the body."""
 
 
 DAYLIGHT, MOORED = Illumination(), PoseSource()

@@ -227,6 +227,8 @@ class Outputs(Message, frozen=True, kw_only=True):
     def upgraded(cls, fields: dict[str, Any]) -> dict[str, Any]:
         """Outputs as older recordings have them: each topic of a capability was a field of its own. Fields that hold no
         messages stay, and are refused as unknown ones."""
+        if "outgoing" in fields:
+            return fields
         said = []
         for name in OLDER.keys() & fields.keys():
             if not isinstance(fields[name], list) or not all(map(_to_somebody, fields[name])):

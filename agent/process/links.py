@@ -15,7 +15,7 @@ import re
 import threading
 from collections import Counter, deque
 from collections.abc import Callable, Mapping, Sequence
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 from msgspec import UNSET
 
@@ -24,8 +24,9 @@ from agent.core.codec import Refusal, decode, encode, encoding
 from agent.core.config import Fleet
 from agent.core.messages import MAX_ORDER, Answer, Order
 from agent.core.step_io import DroppedPayloads, Heard, Ordered
-from agent.core.topics import CLAIM, KEYFRAME, LIGHT, LINK, NEAR, Topic
+from agent.core.topics import LINK, Topic
 from agent.core.verbs import CLOCK
+from agent.robot.arbiter import CAPABILITIES, table_of
 from agent.robot.operator import CONSOLE, why_closed
 from router_config.session import Link, Query, Sample, Withdraw, unusable
 
@@ -33,22 +34,14 @@ KEPT = LINK.qos.buffer
 FASTEST_HZ = 40.0  # twice what a fleet file may ask for: who speaks more often for long floods
 BURST = 64.0  # messages that may come at once after a cable was out: links are given up after two seconds of silence
 
-NAMES: Mapping[Topic, Literal["near", "claim", "keyframe", "light"]] = {
-    NEAR: "near",
-    CLAIM: "claim",
-    KEYFRAME: "keyframe",
-    LIGHT: "light",
-}
-
 STRANGER = "unknown sender"
 FLOOD = "flood"
 
 
 def rows_of(fleet: Fleet) -> tuple[Topic, ...]:
     """What neighbours of this fleet tell each other beside estimates."""
-    swims = () if fleet.navigation is None else (NEAR,)
-    lights = () if fleet.lighting is None else (LIGHT,)
-    return (*swims, *lights) if fleet.coverage is None else (*swims, *lights, CLAIM, KEYFRAME)
+    present = (kind for kind in CAPABILITIES if table_of(fleet, kind) is not None)
+    return tuple(topic for kind in present for topic in kind.topics)
 
 
 class _Inbox:
@@ -119,7 +112,7 @@ class Inboxes:
                 arrived_ns=payloads[k][0],
                 src=inbox.src,
                 payload=payloads[k][1],
-                topic=NAMES.get(inbox.topic, UNSET),
+                topic=UNSET if inbox.topic is LINK else inbox.topic.name,
             )
             for k in range(KEPT)
             for inbox, payloads in kept

@@ -112,8 +112,7 @@ class Transport:
             self._session.put(ANSWER, topics.key(ANSWER, **names), encode(answer))
 
     def _tells(self, session: Session, row: Topic) -> None:
-        """What neighbours tell each other beside estimates: where one that swims is, what a survey saw,
-        whose lamps burn."""
+        """What neighbours tell each other on a topic of a capability."""
         for name in self._fleet.robot[self._robot].neighbours:
             key = topics.key(row, fleet=self._fleet.fleet, src=self._robot, dst=name)
             self._tell[name, row.name] = session.publisher(row, key)

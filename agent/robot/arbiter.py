@@ -74,14 +74,13 @@ def broken_extend_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
 class Equipment(Capability):
     """All capabilities of one robot as one."""
 
-    name, table, does = "equipment", "", "is equipped"
-
     def __init__(self, context: Context) -> None:
-        """Those whose table stands in the fleet file. The last that says where the robot was, or lights, counts. Raises
-        ConfigError for a mistake in [extend]."""
+        """Those whose table stands in the fleet file. The last that says where the robot was, or lights, counts, for
+        targets and for the capabilities after it. Raises ConfigError for a mistake in [extend]."""
         for key, remedy in broken_extend_rules(context.fleet):
             raise ConfigError(f"fleet file: key '{key}': {remedy}")
         self.by_name: dict[str, Capability] = {}
+        self._neighbours = frozenset(context.fleet.robot[context.name].neighbours)
         for kind in CAPABILITIES:
             if (table := table_of(context.fleet, kind)) is None:
                 continue
@@ -92,8 +91,8 @@ class Equipment(Capability):
                 context = context._replace(light=one)
         self.source, self.light = context.source, context.light
 
-    def take(self, heard: Heard, accepted: frozenset[int]) -> bool:
-        """Whether a payload was for a capability. Raises Refusal where it is not believed."""
+    def take(self, heard: Heard, accepted: frozenset[int]) -> None:
+        """Give a payload to the capability that it is for. Raises Refusal where it is not believed."""
         for kind in CAPABILITIES:
             if all(topic.name != heard.topic for topic in kind.topics):
                 continue
@@ -101,8 +100,8 @@ class Equipment(Capability):
                 text = f"it {kind.does}, and our file has no [{kind.table}]; give all robots the same file"
                 raise Refusal("fleet file", text)
             one.receive(heard, accepted)
-            return True
-        return False
+            return
+        raise Refusal("address", f"no capability listens to the topic '{heard.topic}'")
 
     def update(self, inputs: Inputs, situation: Situation) -> Situation:
         for one in self.by_name.values():
@@ -129,13 +128,16 @@ class Equipment(Capability):
     def carry_out(self, command: Args) -> bool:
         return any([one.carry_out(command) for one in self.by_name.values()])
 
-    def outgoing(self, situation: Situation) -> Iterable[Outgoing]:
-        return (each for one in self.by_name.values() for each in one.outgoing(situation))
-
     def said(self, situation: Situation) -> tuple[Said, ...]:
-        """What neighbours are told in this step, as it is sent."""
-        told = self.outgoing(situation)
-        return tuple(Said(topic=each.topic.name, to=each.to, payload=encode(each.message)) for each in told)
+        """What neighbours are told in this step, as it is sent. Raises LookupError for what nobody could receive."""
+        return tuple(self._sent(kind, each) for kind, one in self.by_name.items() for each in one.outgoing(situation))
+
+    def _sent(self, kind: str, word: Outgoing) -> Said:
+        if word.topic not in self.by_name[kind].topics or word.to not in self._neighbours:
+            raise LookupError(
+                f"capability '{kind}' tells {word.to} on {word.topic.name}: no topic, or neighbour, of it"
+            )
+        return Said(topic=word.topic.name, to=word.to, payload=encode(word.message))
 
     def telemetry(self, now_ns: int) -> Mapping[str, Any]:
         return {name: part for one in self.by_name.values() for name, part in one.telemetry(now_ns).items()}
@@ -178,14 +180,15 @@ def priorities() -> tuple[Row, ...]:
     for kind in CAPABILITIES:
         for row in kind.rows:
             holders = [each.holder if each.resource == row.resource else None for each in rows]
-            if row.above not in holders:
-                known = ", ".join(holder for holder in holders if holder is not None)
+            if row.above not in holders or row.above in FIRST:
+                known = ", ".join(holder for holder in holders if holder is not None and holder not in FIRST)
                 why = f"its row of the {row.resource} is to stand above '{row.above}'; write one of {known}"
                 raise ConfigError(f"capability '{kind.name}': {why}")
             rows.insert(holders.index(row.above), row)
     return tuple(rows)
 
 
+FIRST = ("off", "safe")  # what protects the robot: no row of a capability stands above it
 NOBODY = "nobody"  # has a resource that one row has had, and that none takes now
 
 
@@ -206,10 +209,13 @@ class Arbiter(Revertible):
 
     def grant(self, resource: Resource, proposals: Iterable[Proposal[Any]], situation: Situation) -> Any:
         """The command of the first row that takes the resource; None where nobody proposes anything. Raises LookupError
-        for a proposal of no row."""
-        asked: Mapping[str, Callable[[Situation], Any]] = {
-            each.holder: each.act for each in proposals if each.resource == resource
-        }
+        for a proposal of no row, and for two of one row."""
+        asked: dict[str, Callable[[Situation], Any]] = {}
+        for each in proposals:
+            if each.resource == resource:
+                if each.holder in asked:
+                    raise LookupError(f"two proposals of the row '{each.holder}' of the {resource}")
+                asked[each.holder] = each.act
         sweep, lent = situation.camera.sweep, situation.light.phase == "obeys"
         rows = self._rows[resource]
         for holder in sorted(asked.keys() - {row.holder for row in rows}):

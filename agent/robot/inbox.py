@@ -62,7 +62,8 @@ class Inbox(Revertible):
 
     def _take(self, item: Heard, status: Status, now_ns: int) -> None:
         """One payload. Raises Refusal where it is not believed."""
-        if item.topic is not UNSET and self._equipment.take(item, self._accepted):
+        if item.topic is not UNSET:
+            self._equipment.take(item, self._accepted)
             return
         estimate = decode(item.payload, Estimate, accepted=self._accepted)
         if estimate.common and self._common and estimate.common != self._common:

@@ -174,7 +174,10 @@ class Commands(Revertible):
 
 def lacking(what: Args) -> str:
     """Why a robot that lacks a capability cannot carry out its commands."""
-    return next((kind.lacks for kind in CAPABILITIES if isinstance(what, kind.commands)), "this robot cannot do that")
+    return (
+        next((kind.lacks for kind in CAPABILITIES if isinstance(what, kind.commands)), "")
+        or "this robot cannot do that"
+    )
 
 
 # --- memory of answers ---

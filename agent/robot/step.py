@@ -11,15 +11,7 @@ from msgspec import UNSET
 from msgspec.structs import replace
 
 from agent.core.attitude import AttitudeLog
-from agent.core.capability import (
-    DAYLIGHT,
-    MOORED,
-    BodyAct,
-    CameraAct,
-    Context,
-    LampAct,
-    Situation,
-)
+from agent.core.capability import DAYLIGHT, MOORED, BodyAct, CameraAct, Context, LampAct, Situation
 from agent.core.config import Fleet, common
 from agent.core.messages import SCHEMA
 from agent.core.ranging.camera_model import Calibration
@@ -90,6 +82,7 @@ class Agent(Revertible):
         shown = self.inbox.refused, situation.camera.gimbal_deg, self.measuring.signed, self.operator.ordered, now_ns
         state, log = self.telemetry.state(*shown), self.status.log.fetch(now_ns)
         body: BodyAct = self.arbiter.grant("body", proposals, situation) or BodyAct()
+        self.equipment.source.thrusts(body, now_ns)
         self._situation = situation
         return Outputs(
             sweep=camera.plan,

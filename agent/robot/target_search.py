@@ -74,7 +74,7 @@ class TargetSearch(Revertible):
         """Look by that plan from now on, or go on with it; None: there is no search."""
         if plan is None:
             self._pattern = None
-        elif self._pattern is None:
+        elif self._pattern is None or self._pattern.target != plan.target:
             self._pattern = SearchPattern(*plan)
 
     def view_sweep(self, runs: bool) -> None:
@@ -189,7 +189,8 @@ class TargetSearch(Revertible):
                 self.pointing.track(goal_us, now_ns)
             else:
                 self._aim(goal_us, now_ns)
-        self._view_sweep = self._view_sweep or act.plan is not None
+        of_view = act.plan is not None and not self._memory[self._target].sweep.running
+        self._view_sweep = self._view_sweep or of_view
 
     def _goes_to_light(self, memory: TargetMemory, situation: Situation) -> bool:
         """Turn to what is lit, once, where nothing is seen and no neighbour has told anything; whether that was now."""

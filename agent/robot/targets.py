@@ -191,7 +191,6 @@ class Targets(Revertible):
         return TargetView(
             target.name,
             target.estimator.posterior if asked else None,
-            target.prior is not None,
             target.estimator.by_others() if self._source.aided_by == target.name else None,
             target.estimate(now_ns) if own is not None and own.about == target.name else None,
         )

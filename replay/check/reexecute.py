@@ -387,9 +387,9 @@ def unreadable(box: BlackBox, step: Step, why: str) -> Reexecution:
 
 
 def says_grants(box: BlackBox) -> bool:
-    """Whether it was recorded who has camera, body and lamp: in the first step all is granted."""
-    first = next((step.outputs for step in box.steps() if step.outputs is not None), b"grants")
-    return b"grants" in first
+    """Whether it was recorded who has camera, body and lamp: all is granted in the first step that does not hold."""
+    steps = [step.outputs for step in box.steps() if step.outputs is not None]
+    return not steps or any(b"grants" in outputs for outputs in steps)
 
 
 def other_cpu(box: BlackBox) -> bool:

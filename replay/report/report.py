@@ -12,7 +12,7 @@ from pathlib import Path
 import jinja2
 from matplotlib.figure import Figure
 
-from agent.robot.arbiter import PRIORITIES
+from agent.robot.arbiter import priorities
 from replay.files.info import pace
 from replay.files.log import read
 from replay.files.mcap_walk import suspecting
@@ -217,7 +217,7 @@ def _axis_by_axis(run: Run) -> Iterator[Section]:
 def _camera(run: Run) -> Iterator[Section]:
     """Of robots whose cameras do more than look at targets."""
     if (figure := report_tables.camera_lanes(run.timelines)) is not None:
-        rows: list[Row] = [[row.holder, row.why] for row in PRIORITIES if row.resource == "camera"]
+        rows: list[Row] = [[row.holder, row.why] for row in priorities() if row.resource == "camera"]
         yield Section(
             "camera",
             "Who had the camera",

@@ -18,7 +18,7 @@ from msgspec import UNSET
 from agent.core.messages import Symmetric, Vector
 from agent.core.robot_view import AXES
 from agent.core.step_io import SweepOutcome
-from agent.robot.arbiter import PRIORITIES
+from agent.robot.arbiter import priorities
 from replay.report import figures
 from replay.report.figures import VARIANCES
 from replay.report.lead import ORDERED, OVER, End, ends, truth_of
@@ -321,7 +321,7 @@ def camera_lanes(timelines: Sequence[RobotTimeline]) -> Figure | None:
         name: [(t_s, grant.holder) for t_s, grant in each.grants if grant.resource == "camera"]
         for name, each in sorted(first.items())
     }
-    holders = [row.holder for row in PRIORITIES if row.resource == "camera"]
+    holders = [row.holder for row in priorities() if row.resource == "camera"]
     used = [holder for holder in holders if any(holder == which for spans in held.values() for _, which in spans)]
     if set(used) <= {"target"}:
         return None

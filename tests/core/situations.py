@@ -24,6 +24,6 @@ def situation(
 ) -> Situation:
     """The ball is watched; told_m: where it is believed to be."""
     believed = None if told_m is None else Posterior(told_m, (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4))
-    target = TargetView("ball", believed, False)
+    target = TargetView("ball", believed)
     here = target_search._robot.pose if pose is None else pose
     return Situation(now_ns, level, here, target_search.view(now_ns), "ball", (target,), light=light, search=search)

@@ -15,8 +15,8 @@ from agent.core import topics
 from agent.core.codec import decode, encode, encoding
 from agent.core.config import ConfigError, Fleet, Navigation
 from agent.core.messages import MAX_PAYLOAD, Estimate, Presence, State
-from agent.core.step_io import Heard
-from agent.core.topics import LINK
+from agent.core.step_io import Heard, Said
+from agent.core.topics import LINK, NEAR
 from agent.process.transport import Transport
 from router_config.settings import peer_config
 from tests.sample_messages import presence
@@ -93,7 +93,8 @@ def test_robots_that_swim_hear_where_others_are_but_for_what_is_lost(make_fleet:
         ear = Ear(r2)
 
         def heard() -> int:
-            r1.say(presence("r1", "r2", fleet="test", seq=next(said)))
+            message = presence("r1", "r2", fleet="test", seq=next(said))
+            r1.say(Said(topic=NEAR.name, to="r2", payload=encode(message)))
             return len(ear.listen().heard)
 
         until(lambda: heard() > 20)

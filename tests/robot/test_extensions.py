@@ -6,8 +6,10 @@ import pytest
 from msgspec.structs import replace
 
 from agent.capabilities.swim.swim import Swim
-from agent.core.capability import BodyAct, Capability, LampAct, Proposal, Row
+from agent.core.capability import BodyAct, Capability, LampAct, Outgoing, Proposal, Row
 from agent.core.config import ConfigError, Fleet, Struct
+from agent.core.topics import LIGHT, NEAR, Topic
+from agent.process import links
 from agent.robot import arbiter
 from agent.robot.arbiter import Arbiter, broken_extend_rules, priorities
 from agent.robot.step import Agent
@@ -26,7 +28,7 @@ class Hum(Capability):
     settings: ClassVar[type[Struct]] = Humming
     rows: ClassVar[tuple[Row, ...]] = (
         Row("body", "hum", "it hums", above="stay"),
-        Row("lamp", "hum", "", above="safe"),
+        Row("lamp", "hum", "", above="operator"),
     )
 
 
@@ -52,6 +54,11 @@ def test_a_row_stands_right_above_the_one_that_it_names(monkeypatch: pytest.Monk
     body = [row.holder for row in priorities() if row.resource == "body"]
     assert body == ["off", "behaviour", "sing", "hum", "stay", "brake", "drift"]
     assert tuple(row for row in priorities() if row.holder not in ("hum", "sing")) == built_in == arbiter.PRIORITIES
+    for first in ("off", "sing"):
+        monkeypatch.setattr(Hum, "rows", (Row("body", "hum", "", above=first),))
+        with pytest.raises(ConfigError, match=f"'{first}'; write one of behaviour, stay, brake, drift"):
+            monkeypatch.setattr(arbiter, "CAPABILITIES", (Hum,))
+            priorities()
     monkeypatch.setattr(arbiter, "CAPABILITIES", (Sing, Hum))
     with pytest.raises(
         ConfigError, match="capability 'sing': its row of the body is to stand above 'hum'; write one of"
@@ -70,6 +77,26 @@ def test_a_resource_that_nobody_takes_any_more_is_nobodys(agent: Agent) -> None:
 def test_a_proposal_needs_a_row_of_its_resource(agent: Agent) -> None:
     with pytest.raises(LookupError, match="no row 'lent' of the body in the table of priorities"):
         Arbiter().grant("body", [Proposal("body", "lent", lambda at: BodyAct())], situation(agent.target_search, 0))
+
+
+def test_a_row_proposes_once_in_a_step(agent: Agent) -> None:
+    twice = [Proposal("body", "stay", lambda at: BodyAct())] * 2
+    with pytest.raises(LookupError, match="two proposals of the row 'stay' of the body"):
+        Arbiter().grant("body", twice, situation(agent.target_search, 0))
+
+
+@pytest.mark.parametrize(("topic", "to"), [(NEAR, "r2"), (LIGHT, "r9")])
+def test_what_nobody_could_receive_is_not_said(
+    monkeypatch: pytest.MonkeyPatch, fleet: Fleet, topic: Topic, to: str
+) -> None:
+    monkeypatch.setattr(Hum, "topics", (LIGHT,))
+    monkeypatch.setattr(arbiter, "CAPABILITIES", (Hum,))
+    monkeypatch.setattr(links, "CAPABILITIES", (Hum,))
+    assert links.rows_of(fleet) == () and links.rows_of(replace(fleet, extend={"hum": {}})) == (LIGHT,)
+    agent = Agent(replace(fleet, extend={"hum": {}}), "r1", CALIBRATION, 7)
+    monkeypatch.setattr(Hum, "outgoing", lambda self, situation: (Outgoing(topic, to, None),))
+    with pytest.raises(LookupError, match=f"capability 'hum' tells {to} on {topic.name}"):
+        agent.equipment.said(agent._situation)
 
 
 def test_settings_come_as_the_capability_wants_them(monkeypatch: pytest.MonkeyPatch, fleet: Fleet) -> None:

@@ -15,6 +15,7 @@ from agent.capabilities.swim.pursuit import Pursuit
 from agent.capabilities.swim.swimmer import Swimmer, calm, pose_of
 from agent.core.attitude import AttitudeLog
 from agent.core.capability import (
+    BodyAct,
     Capability,
     Context,
     Motion,
@@ -27,7 +28,7 @@ from agent.core.capability import (
     Situation,
 )
 from agent.core.codec import decode
-from agent.core.config import Follow, Goto, Hold, Orbit, Pose, Search, Survey, Trial, Turn
+from agent.core.config import Goto, Hold, Pose
 from agent.core.estimation.interface import Bearing, Posterior, Prior
 from agent.core.messages import Presence
 from agent.core.ranging.fix import Fix
@@ -98,7 +99,8 @@ class Swim(Capability, PoseSource):
         """A look for landmarks is over as soon as something else has the camera."""
         if situation.camera_holder != "landmarks":
             self.swimmer.look_back()
-        return situation
+        assert situation.own is not None
+        return replace(situation, own=situation.own._replace(glances=self.swimmer.glances))
 
     def bearing(self, target: str, believed: Callable[[], Posterior | None], now_ns: int) -> Bearing | None:
         return self.pursuit.bearing(target, believed, now_ns)
@@ -131,7 +133,7 @@ class Swim(Capability, PoseSource):
                 self.swimmer.active.resume()
                 self.swimmer.dive(self._robot.depth_m)
                 self.swimmer.limit_speed(self._fleet.navigation.limits.speed_m_s)
-            case Goto() | Turn() | Orbit() | Follow() | Search() | Survey() | Trial():
+            case _ if isinstance(command, BEHAVIOURS):
                 if isinstance(command, Goto) and command.depth_m is not None:
                     within("depth_m", command.depth_m, SURFACE_M, self._fleet.tank.surface_m)
                 self.swimmer.active.begin(command)
@@ -176,6 +178,9 @@ class Swim(Capability, PoseSource):
 
     def settled(self, now_ns: int) -> tuple[str, Prior] | None:
         return self.swimmer.localizer.settled(now_ns)
+
+    def thrusts(self, body: BodyAct, now_ns: int) -> None:
+        self.swimmer.localizer.sent((*body.force_n, body.moment_nm), now_ns)
 
 
 def motion(belief: Belief | None) -> Motion | None:

@@ -129,7 +129,7 @@ class TargetContext(Revertible):
         now_ns, size_m = situation.now_ns, self._fleet.tank.size_m[:2]
         self.does = what
         if isinstance(what, Survey):
-            self.around = Surroundings(size_m, self._speed_m_s, station=situation.station)
+            self.around, self.search = Surroundings(size_m, self._speed_m_s, station=situation.station), None
             return
         if not isinstance(what, Follow | Search):
             self.around = self.search = None
@@ -148,7 +148,7 @@ class TargetContext(Revertible):
         spirals = situation.camera.search is not None and situation.camera.search.spirals
         if not isinstance(does, Search):
             self.search = None
-        elif self.search is None:
+        elif self.search is None or self.search.target != does.target:
             self.search = self._plan(does, target, situation.pose, depth_m, now_ns)
             spirals = bool(self.search.spiral)
         self.around = around._replace(
@@ -470,7 +470,6 @@ class Swimmer(Revertible):
         return self._asked(STILL, situation.now_ns)
 
     def _asked(self, asked: Wrench, now_ns: int) -> BodyAct:
-        self.localizer.sent(asked, now_ns)
         ahead_n, left_n, moment_nm = asked
         return BodyAct((ahead_n, left_n), moment_nm, self.depth_m(now_ns))
 

@@ -96,6 +96,31 @@ def test_a_grant_that_is_missing_is_a_difference(tmp_path: Path) -> None:
     assert checked.exit_code == 1 and "grants" in text(checked)
 
 
+def said(topic: str, to: str, payload: bytes = msgpack.packb({"a": 1})) -> dict:
+    return {"topic": topic, "to": to, "payload": payload}
+
+
+@pytest.mark.parametrize(
+    ("outgoing", "field"),
+    [
+        ([said("near", "r3"), said("light", "r2")], "outgoing[0].to"),
+        ([said("light", "r2"), said("near", "r2")], "outgoing[0].topic"),
+        ([said("near", "r2", msgpack.packb({"a": 2})), said("light", "r2")], "outgoing[0].payload.a"),
+        ([said("near", "r2", b"\x81\xd9\x01a\x01"), said("light", "r2")], "outputs"),  # the same, but longer
+    ],
+)
+def test_every_way_in_which_neighbours_are_told_something_else_is_a_difference(outgoing: list, field: str) -> None:
+    recorded = {"state": 1, "outgoing": [said("near", "r2"), said("light", "r2")]}
+    found = differences(msgpack.packb(recorded), msgpack.packb(recorded | {"outgoing": outgoing}))
+    assert found and found[0].field == field
+
+
+def test_a_topic_may_have_the_name_of_a_field() -> None:
+    recorded = {"state": 1, "outgoing": [said("state", "r2")]}
+    (found,) = differences(msgpack.packb(recorded), msgpack.packb(recorded | {"state": 2}))
+    assert found.field == "state"
+
+
 @pytest.mark.parametrize("schema", ["3", "x" * 9000])
 def test_a_schema_that_we_cannot_read_is_named_in_one_line(schema: str) -> None:
     with pytest.raises(ConfigError, match="ours is 2; replay it with the version it names") as caught:
