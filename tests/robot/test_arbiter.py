@@ -17,6 +17,7 @@ from tests.capabilities.light.dark_fish import DarkFish
 from tests.capabilities.light.dark_survey import DarkSurvey
 from tests.capabilities.swim.swimming_agent import InTank, fleet
 from tests.places import ROOT
+from tests.robot.ordering import Ordering
 
 PAGE = ROOT / "docs" / "architecture.md"
 
@@ -84,6 +85,21 @@ def test_a_look_that_is_ordered_has_the_camera_before_a_fish_that_is_followed() 
     assert agent.step(order(agent, world.now_ns, "look", {"pan_deg": -30.0}), now_ns).answers[0].ok
     agent.step(Inputs(telemetry=world.inputs["r1"].telemetry), now_ns + 1)
     assert agent.arbiter.held["camera"] == "operator" and not agent.target_search.pointing.tracks
+
+
+@pytest.mark.parametrize("of", ["target", "view"])
+def test_a_sweep_is_a_targets_or_a_views_from_its_first_step_on(of: str) -> None:
+    robot, world, begun = Ordering(), DarkSurvey(1), 0
+    for _ in range(400):
+        if of == "target":
+            agent, plan = robot.agent, robot.step().sweep
+        else:
+            world.step()
+            agent, plan = world.agents["r1"], world.outputs["r1"].sweep
+        if plan is not None:
+            begun += 1
+            assert agent._situation.camera.sweep == of
+    assert begun
 
 
 WORLDS: dict[str, Callable] = {

@@ -5,16 +5,18 @@ import math
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.capabilities.swim.barrier import WALL_M
 from agent.capabilities.swim.behaviour import reference, start
 from agent.capabilities.swim.search import SEEN_NS, Surroundings, cell, lanes
 from agent.capabilities.swim.swim import swimmer_of
-from agent.core.config import Look, Pose, Search
+from agent.core.config import Look, Pose, Search, Survey, Target
 from agent.core.target_state import TargetEstimate
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import PlanarBodies
 from agent.experiments.navigation.swimmers import Swimmers
+from tests.capabilities.swim.swimming_agent import InTank, fleet
 
 TANK_M, S, LANE_M = (3.0, 2.0), 1_000_000_000, 0.8
 WHAT = Search(target="ball", lane_m=LANE_M)
@@ -153,3 +155,17 @@ def test_it_finds_a_ball_behind_it_measures_it_and_holds() -> None:
     for _ in range(2 * 20):
         one.step()
     assert swimmer_of(agent.capabilities).does == "hold" and agent.target_search.view(0).search is None
+
+
+def test_a_search_for_another_target_has_a_plan_of_its_own_and_a_survey_has_none() -> None:
+    told = fleet(behaviour=Search(target="ball"))
+    one = InTank(replace(told, target=told.target | {"cup": Target(radius_m=0.05)}))
+    swimmer = swimmer_of(one.agent.capabilities)
+    one.run(2.0)
+    assert swimmer.search is not None and swimmer.search.target == "ball"
+    swimmer.active.begin(Search(target="cup"))
+    one.run(1.0)
+    assert swimmer.search.target == one.agent._situation.camera.search.target == "cup"
+    swimmer.active.begin(Survey())
+    one.run(1.0)
+    assert swimmer.search is None and one.agent._situation.camera.search is None
