@@ -109,7 +109,7 @@ class OwnView(NamedTuple):
     phase: SwimPhase
     own: Motion | None  # by its own sensors; None: it does not know
     best: Motion | None  # by which it points and swims: that one, or the one aided by a target
-    glances: bool  # its camera is turned to landmarks
+    at_landmarks: bool  # its camera is turned to landmarks
     calm: bool  # a sweep may begin: it takes seconds, in which a robot on its way would get lost
     does: str  # its behaviour in effect, as the fleet file calls it
     about: str | None  # the target of its behaviour
@@ -128,7 +128,7 @@ class NeighbourView(NamedTuple):
     name: str
     pose: Pose
     depth_m: float
-    glances: bool  # its camera is turned to landmarks
+    at_landmarks: bool  # its camera is turned to landmarks
 
 
 class TargetView(NamedTuple):
@@ -336,8 +336,9 @@ class Capability(Revertible):
         """What is wrong, for people."""
         return ()
 
-    def lens(self, now_ns: int) -> int | UnsetType | None:
-        """Where the lens shall be between sweeps from now on. None: where landmarks are sharp; unset: as before."""
+    def lens(self) -> int | UnsetType | None:
+        """Where the lens shall be between sweeps from now on; asked once a step, and of later capabilities only where
+        the earlier ones leave it as it is. None: where landmarks are sharp; unset: as before."""
         return UNSET
 
 

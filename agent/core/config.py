@@ -189,7 +189,7 @@ class Search(Struct, frozen=True, kw_only=True, tag_field="kind", tag="search"):
 
     target: Name
     lane_m: Annotated[float, Meta(ge=0.2)] = 0.8  # from one lane to the next; where the water is murky less
-    speed_m_s: Positive = 0.06  # the gaze goes round in a quarter of a minute, in which the robot swims a lane's width
+    speed_m_s: Positive = 0.06  # the gimbal goes round in a quarter of a minute, while the robot swims a lane's width
 
 
 class Survey(Struct, frozen=True, kw_only=True, tag_field="kind", tag="survey"):

@@ -74,12 +74,6 @@ class TargetState(Revertible):
         """A bearing for the next iteration."""
         self.bearing = bearing
 
-    @property
-    def believed_m(self) -> Vector | None:
-        """Where it is believed to be, world frame."""
-        believed = self.estimator.posterior
-        return believed.x_m if believed else None
-
     def catch_up(self, now_ns: int) -> None:
         """Take over the iteration index of neighbours that are ahead."""
         self.estimator.adopt(self.cache.swarm_t(now_ns, self._validity_ns))

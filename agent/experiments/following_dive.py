@@ -268,7 +268,7 @@ def row(swimmers: Swimmers, fleet: Fleet, target_m: Vector, pillars: tuple[Pilla
         flags = newest is not None and newest.found, near and clear and not eyes.covered, reach, eyes.covered
         believed = judged(agent, fleet, target_m, swimmers.now_ns)
         swimmer = swimmer_of(agent.capabilities)
-        found.append(np.array([*place, *flags, swimmer is not None and swimmer.glances, *believed], float))
+        found.append(np.array([*place, *flags, swimmer is not None and swimmer.at_landmarks, *believed], float))
     return found
 
 

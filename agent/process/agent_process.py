@@ -412,7 +412,7 @@ class AgentProcess:
         self._log("info", text)
 
     def _on_frame(self, frame: Frame, sightings: Sequence[Sighting]) -> None:
-        """Vision's thread: record, and show to whoever looks."""
+        """Vision's thread: record, and show to people who look."""
         self._box.frame(frame.image, frame.roi, *sightings)
         if (
             not self._stop.is_set()
@@ -532,7 +532,7 @@ class ConsoleLog:
 
 
 def line(at_ns: int, robot: str, level: str, text: str) -> str:
-    """One line, time of day first, as whoever stands at the tank reads it."""
+    """One line, time of day first, as people at the tank read it."""
     return f"{datetime.fromtimestamp(at_ns * 1e-9):%H:%M:%S} {robot} {level:7} {text}\n"
 
 

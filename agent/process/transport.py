@@ -105,7 +105,7 @@ class Transport:
         return self._box.take()
 
     def answer(self, answers: Sequence[Answer]) -> None:
-        """Answer the orders that were taken last, one by one, and show the answers to whoever looks."""
+        """Answer the orders that were taken last, one by one, and show the answers to people who look."""
         self._box.answer(answers)
         for answer in answers:
             names = {"fleet": self._fleet.fleet, "robot": self._robot, "console": answer.console}
@@ -129,7 +129,7 @@ class Transport:
             self._tell[message.to, message.topic](message.payload)
 
     def show(self, message: State | LogLine | Image) -> None:
-        """Publish to whoever looks. Never blocks; previews come from vision's thread."""
+        """Publish to people who look. Never blocks; previews come from vision's thread."""
         self._shows[type(message), message.target if isinstance(message, State) else ""](encode(message))
 
     def faults(self) -> tuple[str, ...]:

@@ -145,8 +145,8 @@ class Equipment(Capability):
     def faults(self, now_ns: int) -> tuple[str, ...]:
         return tuple(fault for one in self.by_name.values() for fault in one.faults(now_ns))
 
-    def lens(self, now_ns: int) -> int | UnsetType | None:
-        lenses = (one.lens(now_ns) for one in self.by_name.values())
+    def lens(self) -> int | UnsetType | None:
+        lenses = (one.lens() for one in self.by_name.values())
         return next((lens for lens in lenses if lens is not UNSET), UNSET)
 
 

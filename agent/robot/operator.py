@@ -118,7 +118,7 @@ class Commands(Revertible):
         self.at_once = self.at_once._replace(motors=prevailing(self.at_once.motors, ordered))
 
     def _by_owner(self, what: Args) -> None:
-        """By the capability that it is for. Raises Refusal where this robot lacks it."""
+        """The capability that it is for carries it out. Raises Refusal where this robot lacks it."""
         if not self._equipment.carry_out(what):
             raise Refusal("content", lacking(what))
 

@@ -92,7 +92,7 @@ class Agent(Revertible):
             set_point=self._set_point(body, lamp, situation),
             outgoing=self.equipment.said(situation) or UNSET,
             grants=self.arbiter.changes() or UNSET,
-            lens=self.equipment.lens(now_ns),
+            lens=self.equipment.lens(),
             outcome=outcome,
         )
 

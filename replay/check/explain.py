@@ -15,7 +15,7 @@ from agent.core.codec import decode
 from agent.core.config import ConfigError
 from agent.core.messages import Explain, LampState, LogLine, State
 from agent.core.step_io import Outputs, SweepOutcome
-from agent.robot.arbiter import priorities
+from agent.robot.arbiter import NOBODY, priorities
 from replay.check.reexecute import STEP_BYTES, open_box
 from replay.files.mcap_walk import suspecting
 
@@ -227,6 +227,8 @@ def _lamp(robot: str, lamp: LampState) -> str:
 
 def _held(resource: str, held: Held) -> str:
     """Who has a resource, since when, and why."""
+    if held.holder == NOBODY:
+        return f"{resource.capitalize()}: nobody has had it since {held.since_s:.2f} s."
     why = next((row.why for row in priorities() if (row.resource, row.holder) == (resource, held.holder)), "")
     return f"{resource.capitalize()}: '{held.holder}' has had it since {held.since_s:.2f} s{f': {why}' if why else ''}."
 

@@ -75,7 +75,7 @@ def test_silent_devices_are_named_within_a_second_and_talk_goes_on() -> None:
 
 
 # --- targets ---
-# Two targets, scripted steps: each has its own mailbox, estimator and valid set, and nothing passes between them.
+# Two targets, scripted steps: each has its own cache, estimator and valid set, and nothing passes between them.
 
 WHERE_M = {"ball": (0.55, 0.66, 0.07), "buoy": (0.92, 0.45, 0.05)}
 TARGETS_FLEET = load_fleet(fleet_file("two_balls"))

@@ -58,7 +58,7 @@ class Requests(Revertible):
 
     def may_ask(self, situation: Situation) -> bool:
         """Whether nobody needs its own light now: a neighbour whose camera is at landmarks would see none."""
-        now_ns, glance = situation.now_ns, any(each.glances for each in situation.neighbours or ())
+        now_ns, glance = situation.now_ns, any(each.at_landmarks for each in situation.neighbours or ())
         self._waits_ns = (self._waits_ns or now_ns) if glance else None
         return self._waits_ns is None or now_ns - self._waits_ns > PATIENCE_NS
 

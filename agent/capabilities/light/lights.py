@@ -97,7 +97,7 @@ class Light(Capability, Illumination):
         turn, own, now_ns = self._turn, situation.own, situation.now_ns
         if turn.tick(now_ns):
             self._end(now_ns, fruitless=True)
-        elif turn.phase == "holds" and turn.exposure == "none" and own is not None and own.glances:
+        elif turn.phase == "holds" and turn.exposure == "none" and own is not None and own.at_landmarks:
             self._end(now_ns)  # its camera is at landmarks: the light is others' meanwhile
         self.own.tick(self._talk.party, own, now_ns)
         return replace(situation, light=situation.light._replace(phase=turn.phase))
@@ -288,7 +288,7 @@ class Light(Capability, Illumination):
     def telemetry(self, now_ns: int) -> Mapping[str, Any]:
         return {"lamp": lamp_state(self._talk.party, self.own.now, self._turn.spoiled)}
 
-    def lens(self, now_ns: int) -> int | UnsetType | None:
+    def lens(self) -> int | UnsetType | None:
         """Where the target is believed to be sharp, which out of focus does not show in the dark, when that has changed
         by enough; of robots that swim landmarks have the lens."""
         wanted, fit = self._wanted_lens, self._calibration.focus

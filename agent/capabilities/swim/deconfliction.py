@@ -4,7 +4,7 @@ for landmarks."""
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 
 from msgspec import UNSET
 from msgspec.structs import replace
@@ -35,7 +35,7 @@ from agent.core.trust import CachedMessage, MessageCache
 
 FASTEST_M_S = 2.0  # a robot that drops from a hand; none swims at a quarter of it
 OLDEST_NS = 1_000_000_000  # a place was that old, at most, when it was said
-LONGEST_NS = 2_000_000_000  # a claim on glancing ends by itself: the robot that claimed may have lost its link
+LONGEST_NS = 2_000_000_000  # a claim on looking ends by itself: the robot that claimed may have lost its link
 SILENT_NS = 3_000_000_000  # by then a robot may be a metre and more from where it was going
 
 
@@ -76,10 +76,10 @@ class Neighbours(Revertible):
         x, y = (min(max(at, ring_m), side - ring_m) for at, side in zip(at_m, (length_m, breadth_m), strict=True))
         return x, y
 
-    def places(self, but: Collection[str] = ()) -> tuple[tuple[float, float, float], ...]:
-        """x, y and depth of all that ever said where they are, but those of these names."""
+    def places(self) -> tuple[tuple[float, float, float], ...]:
+        """x, y and depth of all that ever said where they are."""
         heard = (letter.message for letter in self._heard())
-        return tuple((said.x_m, said.y_m, said.depth_m) for said in heard if said.src not in but)
+        return tuple((said.x_m, said.y_m, said.depth_m) for said in heard)
 
     def doing(self, behaviour: str, target: str, now_ns: int) -> tuple[Planar, ...]:
         """Where robots are that do the same about the same target, in order of their names; silent ones left out."""
@@ -90,7 +90,7 @@ class Neighbours(Revertible):
             if said.behaviour == behaviour and said.target == target
         )
 
-    def glancing(self, now_ns: int) -> tuple[str, ...]:
+    def at_landmarks(self, now_ns: int) -> tuple[str, ...]:
         """Names of the robots whose camera is at landmarks."""
         claims_ns = {e.message.src: e.message.glance_until_ns - e.message.sent_ns for e in self._heard()}
         return tuple(
@@ -169,7 +169,7 @@ class Deconfliction(Revertible):
         since_ns = self._looks_since_ns = (self._looks_since_ns or now_ns) if looks else None
         if here is None or direly_unsure(here):
             return False
-        others = self.neighbours.glancing(now_ns)
+        others = self.neighbours.at_landmarks(now_ns)
         if since_ns is None:
             return len(others) >= self._at_once
         first = sum(name < self._name for name in others)

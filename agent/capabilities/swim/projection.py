@@ -39,7 +39,7 @@ class View(NamedTuple):
     errors: tuple[LensError, ...] = ()  # of the calibration, where it says
 
 
-class GimbalTrack(NamedTuple):
+class CameraAxes(NamedTuple):
     """A camera at one theta; all vectors but the first in the camera frame."""
 
     pivot_m: Vector  # world
@@ -68,7 +68,7 @@ def view(camera: CameraFit, body: Body, surface_m: float, focus: float | None) -
     return View(camera.f_px, camera.width_px, camera.ahead_m, body.camera_m, surface_m, camera.bend, errors)
 
 
-def gaze(of: View, theta: Theta) -> GimbalTrack:
+def camera_axes(of: View, theta: Theta) -> CameraAxes:
     x, y, psi, depth, roll, pitch, pan, tilt = theta
     world_level = _times(_rz(psi), _ry(pitch))
     world_body = _times(world_level, _rx(roll))
@@ -77,7 +77,7 @@ def gaze(of: View, theta: Theta) -> GimbalTrack:
     to_camera = (-b, -e, -h), (-c, -f, -i), (a, d, g)  # its axes are right, down and forward
     arm = _apply(world_body, of.arm_m)
     pivot = x + arm[0], y + arm[1], of.surface_m - depth + arm[2]
-    return GimbalTrack(
+    return CameraAxes(
         pivot,
         to_camera,
         _apply(to_camera, arm),
@@ -89,14 +89,14 @@ def gaze(of: View, theta: Theta) -> GimbalTrack:
     )
 
 
-def slope(of: View, at: GimbalTrack, point_m: Vector) -> Slope | None:
+def slope(of: View, at: CameraAxes, point_m: Vector) -> Slope | None:
     """Where a point of the world is seen; None where it is not before the camera."""
     x, y, z = _in_camera(at, point_m)
     z -= of.ahead_m
     return (x / z, y / z) if z > NEAREST_M else None
 
 
-def seen(of: View, at: GimbalTrack, point_m: Vector) -> Seen | None:
+def seen(of: View, at: CameraAxes, point_m: Vector) -> Seen | None:
     """The same with its derivatives."""
     p = _in_camera(at, point_m)
     z = p[2] - of.ahead_m
@@ -156,7 +156,7 @@ def direction(at: Upright, slope: Slope) -> Vector:
     return _apply(at.rotation, (1.0, -slope[0], -slope[1]))
 
 
-def _in_camera(at: GimbalTrack, point_m: Vector) -> Vector:
+def _in_camera(at: CameraAxes, point_m: Vector) -> Vector:
     x, y, z = point_m[0] - at.pivot_m[0], point_m[1] - at.pivot_m[1], point_m[2] - at.pivot_m[2]
     (a, b, c), (d, e, f), (g, h, i) = at.world
     return a * x + b * y + c * z, d * x + e * y + f * z, g * x + h * y + i * z

@@ -3,7 +3,7 @@ goes with it.
 
 A sweep takes a second, in which a fish is elsewhere. So the newest frame of each short iteration is a sample, from
 where the robot was and its camera looked at that moment; between landmarks and target the camera is the target's,
-unless the robot knows too little of its own place (Swimmer.glance).
+unless the robot knows too little of its own place (Swimmer.look_for_landmarks).
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from agent.core.step_io import Sighting
 from agent.core.step_transaction import Revertible
 from agent.core.target_state import grown
 
-# --- gaze that tracks ---
+# --- gimbal track ---
 # It goes with the target: ahead of where the target was last known to be, and, where the target is not seen, to and
 # fro over all places where it may be.
 #
@@ -42,15 +42,15 @@ from agent.core.target_state import grown
 #
 # the mean of where it is, given how far beside x it is: for a target that one other robot sees, that robot's line of
 # sight. Where all have lost it each takes those that are nearer to itself than to any other, and looks from end to
-# end of them but for what its picture shows anyway. As long as the view is wider than all that, the gaze rests: a
+# end of them but for what its picture shows anyway. As long as the view is wider than all that, the gimbal rests: a
 # camera that turned aside would miss what comes out from behind a stone.
 
 LOST_NS = 400_000_000  # four frames without it
 ELSEWHERE_NS = 200_000_000  # several steps
 PERIOD_S = 1.6  # of the triangle, at least
-SWIFTEST_DEG_S = 60.0  # of the gaze: neighbouring frames overlap by three quarters; faster, no tag says where it looks
+SWIFTEST_DEG_S = 60.0  # neighbouring frames overlap by three quarters; faster, no tag says where it looks
 SIGMAS = 2.0  # to either side
-SHOWN_DEG = 7.0  # to either side of the gaze, of a view of 30 degrees and a target that is whole in it
+SHOWN_DEG = 7.0  # to either side of the gimbal, of a view of 30 degrees and a target that is whole in it
 
 
 class GimbalTrack(Revertible):
@@ -123,7 +123,7 @@ def own_part(
     return (low, high) if low < high else (-SIGMAS, SIGMAS)
 
 
-# --- gaze that scans ---
+# --- scan ---
 # It goes round all that the gimbal reaches, without rest: for a target that may be anywhere.
 #
 # Looks with rests between them (SearchPattern) take longer for one round than a fish stays where it is. This one passes
@@ -131,7 +131,7 @@ def own_part(
 # one, where most swims.
 
 AWAY_NS = 200_000_000  # several steps
-SCAN_ELSEWHERE_NS = 2_000_000_000  # longer than a glance: it begins anew
+SCAN_ELSEWHERE_NS = 2_000_000_000  # longer than a look for landmarks: it begins anew
 
 
 class Scan(Revertible):
@@ -167,7 +167,7 @@ HIDDEN_S, HIDDEN_M = 0.3, 1.4  # after it is lost; farther away it may just not 
 # Samples of one robot that a track of what swims remembers: (R dt / q)^(1/4) is about dt at 10 to 20 cm/s. What is
 # alike in more of them does not count more often.
 REMEMBERS = 2.0
-# Of the gaze: the servos' lag, half of a step, and what a frame is known late of the gaze's own doing.
+# Of the gimbal: the servos' lag, half of a step, and what a frame is known late of the gimbal's own doing.
 AHEAD_S = SERVO_LAG_S + 0.05
 
 
@@ -181,7 +181,7 @@ class Pursuit(Revertible):
         self._fleet, self._calibration, self._swimmer, self._attitude = fleet, calibration, swimmer, attitude
         self._swims = {target: dynamics(fleet.target[target]) for target in pursued(fleet)}
         share = robots.index(name) / len(robots)
-        self._gaze, self._scan = GimbalTrack(share), Scan(share)
+        self._gimbal_track, self._scan = GimbalTrack(share), Scan(share)
         self._newest: Sighting | None = None  # that showed the target since the last iteration
         self._lens: int | None = None  # where it is sharp; None: where landmarks are
         self._told: int | None = None  # the lens
@@ -189,7 +189,7 @@ class Pursuit(Revertible):
     def see(self, sightings: Sequence[Sighting]) -> None:
         for sighting in sightings:
             if sighting.found and sighting.target == self._swimmer.pursues:
-                self._gaze.saw(sighting.t_ns)
+                self._gimbal_track.saw(sighting.t_ns)
                 self._newest = sighting
 
     @property
@@ -250,7 +250,7 @@ class Pursuit(Revertible):
         body, surface_m = self._fleet.body, self._fleet.tank.surface_m
         if of.believed is None or self._swimmer.search is not None:
             self._lens = None
-            rests = self._gaze.sees(now_ns)
+            rests = self._gimbal_track.sees(now_ns)
             way_deg = self._scan.way_deg(self._calibration.camera, body, level.depth_m, surface_m, rests, now_ns)
             return CameraAct(way_deg, "track", name)
         x, y, psi = (at + AHEAD_S * v for at, v in zip(here.x[:3], here.x[3:6], strict=True))
@@ -267,9 +267,9 @@ class Pursuit(Revertible):
         """Of all places where it may be the one to look at now: the middle one while the robot sees it. Where all have
         lost it each takes its part of them. A robot that knows well where others see it, and does not see it itself,
         has something in between."""
-        unseen_s = self._gaze.unseen_s(now_ns)
+        unseen_s = self._gimbal_track.unseen_s(now_ns)
         if not unseen_s:
-            self._gaze.swing(0.0, now_ns)
+            self._gimbal_track.swing(0.0, now_ns)
             return at_m
         step_m, sigma_deg = across(at_m, cov_m2, here_m)
         low, high = own_part(at_m, step_m, here_m, self._swimmer.fellows_m if lost_by_all else ())
@@ -277,7 +277,7 @@ class Pursuit(Revertible):
         middle, half = 0.5 * (low + high), max(0.5 * (high - low), 0.0)
         if not lost_by_all and not half and unseen_s > HIDDEN_S and math.dist(at_m, here_m) < HIDDEN_M:
             self._swimmer.hidden(at_m, now_ns)
-        swing = self._gaze.swing(half * sigma_deg, now_ns)
+        swing = self._gimbal_track.swing(half * sigma_deg, now_ns)
         x, y, z = (at + (middle + half * swing) * way for at, way in zip(at_m, step_m, strict=True))
         return x, y, z
 

@@ -26,7 +26,7 @@ from agent.core.target_state import TargetEstimate
 # What a behaviour may know beside the robot's pose: the tank, the target that it is about, and which other robots are
 # about that target.
 
-SEEN_NS = 20_000_000_000  # a glance at landmarks takes seconds, and targets take turns: unseen for longer is unknown
+SEEN_NS = 20_000_000_000  # a look for landmarks takes seconds, and targets take turns: unseen for longer is unknown
 ANYWHERE_M = 0.5  # sigma of a target that no robot sees: too much water to look at from one place
 GIMBAL_RAD = math.radians(50.0)  # to either side: beyond, the body turns after the gimbal
 # Of a wall ahead: from nearer no whole landmark fits into the picture, or one, and there is little else to go by.
@@ -56,7 +56,7 @@ class Surroundings(NamedTuple):
     target: TargetEstimate | None = None  # None: no robot ever said where it is
     swims: bool = False  # the target that it is about, by itself
     sees: bool = False  # the robot's own camera has the target in view
-    looks: bool = False  # its gaze still goes round where the target was last
+    looks: bool = False  # its gimbal still goes round where the target was last
     fellows_m: tuple[Planar, ...] = ()  # robots that say they do the same about the same target
     screens_m: tuple[Planar, ...] = ()  # what hid the target lately, about there
     robots_m: tuple[Planar, ...] = ()  # all that say where they are

@@ -87,7 +87,7 @@ class Swim(Capability, PoseSource):
             phase=swimmer.phase,
             own=motion(here),
             best=motion(swimmer.here),
-            glances=swimmer.glances,
+            at_landmarks=swimmer.at_landmarks,
             calm=calm(here),
             does=swimmer.does,
             about=swimmer.about,
@@ -100,7 +100,7 @@ class Swim(Capability, PoseSource):
         if situation.camera_holder != "landmarks":
             self.swimmer.look_back()
         assert situation.own is not None
-        return replace(situation, own=situation.own._replace(glances=self.swimmer.glances))
+        return replace(situation, own=situation.own._replace(at_landmarks=self.swimmer.at_landmarks))
 
     def bearing(self, target: str, believed: Callable[[], Posterior | None], now_ns: int) -> Bearing | None:
         return self.pursuit.bearing(target, believed, now_ns)
@@ -109,7 +109,7 @@ class Swim(Capability, PoseSource):
 
     def propose(self, situation: Situation) -> Iterable[Proposal[Any]]:
         return (
-            Proposal("camera", "landmarks", lambda at: self.swimmer.glance(self.pursuit.goes_with(at), at)),
+            Proposal("camera", "landmarks", lambda at: self.swimmer.look_for_landmarks(self.pursuit.goes_with(at), at)),
             Proposal("camera", "pursuit", self.pursuit.look),
             Proposal("body", "off", self.swimmer.off),
             Proposal("body", "behaviour", self.swimmer.behave),
@@ -152,7 +152,7 @@ class Swim(Capability, PoseSource):
     def faults(self, now_ns: int) -> tuple[str, ...]:
         return self.swimmer.faults(now_ns)
 
-    def lens(self, now_ns: int) -> int | UnsetType | None:
+    def lens(self) -> int | UnsetType | None:
         return self.pursuit.lens()
 
     # --- where it was -----------------------------------------------------------------------------------------
@@ -192,13 +192,13 @@ def motion(belief: Belief | None) -> Motion | None:
 
 def neighbour_views(neighbours: Neighbours, now_ns: int) -> tuple[NeighbourView, ...]:
     """Where all neighbours are that ever said so, in the order of their names."""
-    glancing = neighbours.glancing(now_ns)
+    looking = neighbours.at_landmarks(now_ns)
     return tuple(
         NeighbourView(
             name=said.src,
             pose=Pose(x_m=said.x_m, y_m=said.y_m, yaw_deg=math.degrees(said.yaw_rad)),
             depth_m=said.depth_m,
-            glances=said.src in glancing,
+            at_landmarks=said.src in looking,
         )
         for said in neighbours.newest()
     )

@@ -159,7 +159,7 @@ class TargetContext(Revertible):
     def _plan(self, what: Search, target: TargetEstimate | None, pose: Pose, depth_m: float, now_ns: int) -> SearchPlan:
         surface_m = self._fleet.tank.surface_m
         around = all_around(self._camera, self._fleet.body, depth_m, surface_m)
-        if target is None or what.target in self._swims:  # its gaze goes all around at once (pursuit.Scan)
+        if target is None or what.target in self._swims:  # its gimbal goes all around at once (pursuit.Scan)
             return SearchPlan(what.target, (), around)
         speed_m_s = dynamics(self._fleet.target[what.target]).first_speed_m_s
         reach_deg = _reach_deg(target, speed_m_s, pose, now_ns)
@@ -339,7 +339,7 @@ class Swimmer(Revertible):
         located = here is not None and within(here, LOST_M, LOST_DEG)
         ahead_s = SWIFTLY_S if self.pursues is not None else AWAY_S
         knows = here is not None and foresees(here, ahead_s) and camera.steady(now_ns)
-        goes = camera.search is not None or self.pursues is not None  # a gaze that never rests
+        goes = camera.search is not None or self.pursues is not None  # a gimbal that never rests
         rests = (goes or camera.steady(now_ns - KEY_NS)) and not self._at_landmarks
         self.phase = after(self.phase, Found(located, knows, rests))
         self._lost_since_ns = None if located else self._lost_since_ns or now_ns
@@ -371,7 +371,7 @@ class Swimmer(Revertible):
         return self._target_context.search
 
     @property
-    def glances(self) -> bool:
+    def at_landmarks(self) -> bool:
         """Its camera is turned to landmarks."""
         return self._at_landmarks
 
@@ -390,7 +390,7 @@ class Swimmer(Revertible):
         """It does not know where it is."""
         return self.phase == "lost"
 
-    def glance(self, pursues: bool, situation: Situation) -> CameraAct | None:
+    def look_for_landmarks(self, pursues: bool, situation: Situation) -> CameraAct | None:
         """Turn the camera to landmarks where that is due; None: it is not. Not while a sweep is under way; after it the
         lens is sharp again first, and may show enough where it is. pursues: else the camera goes with a target that
         swims."""

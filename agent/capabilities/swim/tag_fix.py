@@ -19,13 +19,13 @@ from typing import NamedTuple
 
 from agent.capabilities.swim.landmarks import Marker, normal
 from agent.capabilities.swim.projection import (
-    GimbalTrack,
+    CameraAxes,
     Seen,
     TagNoise,
     Theta,
     View,
+    camera_axes,
     direction,
-    gaze,
     seen,
     slope_error,
     tag_noise,
@@ -223,7 +223,7 @@ def _used(of: View, known: Map, tags: Sequence[SeenTag], theta: Theta) -> list[_
 
     Of an id that is seen twice neither counts: one of them is something else.
     """
-    at, used = gaze(of, theta), []
+    at, used = camera_axes(of, theta), []
     ids = [tag.id for tag in tags]
     for tag in sorted(tags, key=lambda tag: tag.id):
         marker = known.markers.get(tag.id)
@@ -236,7 +236,7 @@ def _used(of: View, known: Map, tags: Sequence[SeenTag], theta: Theta) -> list[_
     return used
 
 
-def _expected(of: View, at: GimbalTrack, marker: Marker) -> tuple[Seen, ...] | None:
+def _expected(of: View, at: CameraAxes, marker: Marker) -> tuple[Seen, ...] | None:
     """The four corners as they should be seen; None where one is not before the camera."""
     expected: list[Seen] = []
     for corner in marker.corners_m:
@@ -249,7 +249,7 @@ def _expected(of: View, at: GimbalTrack, marker: Marker) -> tuple[Seen, ...] | N
 
 def _normal(of: View, priors: Priors, used: Sequence[_Used], theta: Theta) -> _Normal | None:
     """None where a tag is not before the camera."""
-    at, cost = gaze(of, theta), 0.0
+    at, cost = camera_axes(of, theta), 0.0
     H, g = [[0.0] * 8 for _ in range(8)], [0.0] * 8
     weights: list[float] = []
     whitened: list[list[tuple[float, ...]]] = []
@@ -302,7 +302,7 @@ def _lens_pulls(of: View, priors: Priors, used: Sequence[_Used], found: _Minimum
     """What each error of the calibration adds to J' W r: all tags are moved at once, and the gimbal turns."""
     if not of.errors:
         return []
-    at, pan, tilt = gaze(of, found.theta), found.theta[6], found.theta[7]
+    at, pan, tilt = camera_axes(of, found.theta), found.theta[6], found.theta[7]
     pulls = [
         [0.0] * 6
         + [(error.pan + error.pan_gain * pan) / priors.pan.variance]

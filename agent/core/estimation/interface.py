@@ -1,7 +1,7 @@
 """What every protocol offers to the kernel, in the paper's words: x̂ is the prior, x the posterior, S the valid set.
 
 An estimator belongs to one robot and one target. It repeats one cycle: `hear` what neighbours said, `tick` once an
-iteration, `say` the outcome to each neighbour, as often as the link allows. The mailbox holds what neighbours said last
+iteration, `say` the outcome to each neighbour, as often as the link allows. The cache holds what neighbours said last
 of the target.
 """
 
@@ -87,7 +87,7 @@ class Estimator(Protocol):
         """A neighbour is at iteration t: late and restarted robots catch up with the swarm's index."""
 
     def hear(self, letter: CachedMessage[Estimate]) -> tuple[str, ...]:
-        """Take in a message that the mailbox accepted. Returns the kinds of refusal of what in it was not believed."""
+        """Take in a message that the cache accepted. Returns the kinds of refusal of what in it was not believed."""
 
     def tick(self, prior: Prior | None, cache: EstimateCache, now_ns: int) -> Update:
         """One iteration: the newest usable word of each neighbour and, if the target was seen, a prior."""
@@ -96,7 +96,7 @@ class Estimator(Protocol):
         """What to tell this neighbour now. Time never decreases from call to call."""
 
 
-# --- mailbox ---
+# --- cache ---
 # What neighbours said last of one target, and which of them can be used.
 
 LATEST_T = 10**8  # iterations; a year has a third of it at one a second

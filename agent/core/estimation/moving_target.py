@@ -235,7 +235,7 @@ def _shares(fresh: dict[str, list[Held]], factors: dict[str, float]) -> dict[str
 # (`FixedLagFilter`) is of no use any more, neither here nor to a neighbour.
 #
 # Clocks need not agree. A sample carries its age; every robot that passes it on adds the time it lay there, and the
-# mailbox adds the time it lay in a queue. It also carries when it was taken on its origin's clock, which no relay can
+# cache adds the time it lay in a queue. It also carries when it was taken on its origin's clock, which no relay can
 # change: what we learn of that clock from one sample holds for the next (`OriginClocks`).
 
 Key = tuple[str, int, int]  # origin, incarnation, number

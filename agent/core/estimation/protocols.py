@@ -120,7 +120,7 @@ class Paper(Means):
         self.posterior: Posterior | None = None
 
     def hear(self, letter: CachedMessage[Estimate]) -> tuple[str, ...]:
-        return ()  # only the newest word counts, and the mailbox has it
+        return ()  # only the newest word counts, and the cache has it
 
     def say(self, to: str, now_ns: int) -> Word:
         return Word(*self.posterior[:2]) if self.posterior else Word(None, None)

@@ -1,4 +1,4 @@
-"""A swarm in virtual time: the agents' own estimators and mailboxes, a list instead of a network.
+"""A swarm in virtual time: the agents' own estimators and caches, a list instead of a network.
 
 All tick, then all speak; what is not lost arrives at once, and a posterior that is read after it makes use of it.
 Nothing is encoded: what the bytes do is the business of other tests, and this makes a thousand robots affordable.
@@ -291,7 +291,7 @@ class Swarm:
         self.graph = graph
         self.now_ns = self._iteration_ns
         self.robots: list[Estimator] = [self._fresh(i) for i in range(len(graph))]
-        self._boxes = [self._mailbox(i) for i in range(len(graph))]
+        self._boxes = [self._cache_of(i) for i in range(len(graph))]
 
     def iterate(self, priors: Sequence[Prior | None]) -> list[Update]:
         """One iteration with what each robot measured in it. Afterwards all speak to their neighbours."""
@@ -311,7 +311,7 @@ class Swarm:
     def restart(self, i: int) -> None:
         """Robot i forgets everything and comes back as a new incarnation."""
         self._starts_ns[i] = self.now_ns
-        self.robots[i], self._boxes[i] = self._fresh(i), self._mailbox(i)
+        self.robots[i], self._boxes[i] = self._fresh(i), self._cache_of(i)
 
     def distrust(self, i: int) -> None:
         """The key of robot i is taken away, everywhere."""
@@ -354,7 +354,7 @@ class Swarm:
             robot.trust(self._trusted)
         return robot
 
-    def _mailbox(self, i: int) -> EstimateCache:
+    def _cache_of(self, i: int) -> EstimateCache:
         name = self._names[i]
         return EstimateCache(self._fleet.fleet, name, TARGET, self._fleet.robot[name].neighbours)
 

@@ -201,8 +201,8 @@ def letters(src: str, outputs: Outputs, now_ns: int) -> list[tuple[Heard, str]]:
 
 
 def off_mm(diver: Diver, truth_m: np.ndarray) -> float | None:
-    believed_m = diver.agent.measuring.current.believed_m
-    return None if believed_m is None else 1000.0 * float(np.linalg.norm(np.array(believed_m) - truth_m))
+    believed = diver.agent.measuring.current.estimator.posterior
+    return None if believed is None else 1000.0 * float(np.linalg.norm(np.array(believed.x_m) - truth_m))
 
 
 def mean_nis(history: History) -> float | None:

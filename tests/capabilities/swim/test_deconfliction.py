@@ -143,9 +143,9 @@ def test_who_is_silent_is_told() -> None:
 
 def test_a_claim_ends_by_itself_on_our_clock() -> None:
     found = heard(presence(glance_until_ns=S + S // 2), presence("r03"))
-    assert found.glancing(2 * S + 4 * S // 10) == ("r02",) and found.glancing(2 * S + S // 2) == ()
+    assert found.at_landmarks(2 * S + 4 * S // 10) == ("r02",) and found.at_landmarks(2 * S + S // 2) == ()
     greedy = heard(presence(glance_until_ns=S + 3600 * S))
-    assert greedy.glancing(2 * S + LONGEST_NS - 1) and not greedy.glancing(2 * S + LONGEST_NS)
+    assert greedy.at_landmarks(2 * S + LONGEST_NS - 1) and not greedy.at_landmarks(2 * S + LONGEST_NS)
 
 
 # --- in the tank --------------------------------------------------------------------------------------------------

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from agent.capabilities.swim.landmarks import survey_jacobian
-from agent.capabilities.swim.projection import by_survey, gaze, seen, slope
+from agent.capabilities.swim.projection import by_survey, camera_axes, seen, slope
 from agent.capabilities.swim.tag_fix import HUBER, NoFix, Prior, TagFix, first_fix, tag_fix
 from agent.capabilities.swim.tag_fix import priors as known_before
 from agent.core.attitude import Attitude
@@ -61,14 +61,14 @@ def test_slopes_and_their_derivatives() -> None:
         for tag in sight(theta, most=1):
             marker = MAP.markers[tag.id]
             for corner in marker.corners_m:
-                point = seen(VIEW, gaze(VIEW, theta), corner)
+                point = seen(VIEW, camera_axes(VIEW, theta), corner)
                 arm = np.subtract(corner, marker.middle_m)
 
                 def from_here(errors, theta=theta, corner=corner, arm=arm):
                     return project(theta, [np.add(corner, errors[:3] + np.cross(errors[3:], arm))])[0][0]
 
                 np.testing.assert_allclose(point.slope, project(theta, [corner])[0][0], atol=1e-13)
-                assert slope(VIEW, gaze(VIEW, theta), corner) == point.slope
+                assert slope(VIEW, camera_axes(VIEW, theta), corner) == point.slope
                 by_theta = differences(lambda t, corner=corner: project(t, [corner])[0][0], np.array(theta))
                 np.testing.assert_allclose(point.by_theta, by_theta, atol=1e-8)
                 np.testing.assert_allclose(

@@ -128,7 +128,7 @@ def test_a_robot_that_was_knocked_and_repaired_is_believed_at_once() -> None:
     assert math.dist(net.robots[NAMES[0]].posterior.x_m, (0.7, 0.5, 0.1)) < 0.004
 
 
-def mailbox_with(**about: int) -> EstimateCache:
+def cache_with(**about: int) -> EstimateCache:
     box = EstimateCache("tank", "r1", "ball", ("r2", "r3"))
     told = {"incarnation": 1, "seq": 5, "sent_ns": 100 * SECOND_NS, "t": 50, **about}
     box.put("r2", estimate("r2", "r1", **told), 100 * SECOND_NS)
@@ -136,7 +136,7 @@ def mailbox_with(**about: int) -> EstimateCache:
 
 
 def test_one_wild_number_does_not_silence_a_neighbour() -> None:
-    box = mailbox_with()
+    box = cache_with()
     with pytest.raises(Refusal, match="runs ahead"):
         box.put("r2", estimate("r2", "r1", incarnation=1, seq=2**63, sent_ns=100 * SECOND_NS), 101 * SECOND_NS)
     box.put("r2", estimate("r2", "r1", incarnation=1, seq=6, sent_ns=101 * SECOND_NS), 101 * SECOND_NS)
@@ -145,7 +145,7 @@ def test_one_wild_number_does_not_silence_a_neighbour() -> None:
 
 
 def test_a_neighbour_that_told_a_number_too_large_is_heard_again_at_its_third_word() -> None:
-    box = mailbox_with(seq=900)
+    box = cache_with(seq=900)
     for seq in (6, 7):
         with pytest.raises(Refusal, match="out of order"):
             box.put("r2", estimate("r2", "r1", incarnation=1, seq=seq, sent_ns=101 * SECOND_NS), 101 * SECOND_NS)
@@ -153,13 +153,13 @@ def test_a_neighbour_that_told_a_number_too_large_is_heard_again_at_its_third_wo
 
 
 def test_one_neighbour_alone_does_not_set_the_swarm_s_iteration() -> None:
-    box, now_ns = mailbox_with(t=10**9), 100 * SECOND_NS
+    box, now_ns = cache_with(t=10**9), 100 * SECOND_NS
     box.put("r3", estimate("r3", "r1", incarnation=1, seq=5, sent_ns=now_ns, t=52), now_ns)
     assert box.swarm_t(now_ns, SECOND_NS) == 52
 
 
 def test_two_robots_of_one_name_are_told() -> None:
-    box = mailbox_with()
+    box = cache_with()
     for k, incarnation in enumerate((2, 1, 2, 1)):
         at_ns = (101 + k) * SECOND_NS
         box.put("r2", estimate("r2", "r1", incarnation=incarnation, seq=6 + k, sent_ns=at_ns), at_ns)

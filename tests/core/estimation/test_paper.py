@@ -127,7 +127,7 @@ def test_covariance_of_independent_samples_falls_as_one_over_t() -> None:
     assert swarm.robots["r1"].posterior.cov_m2[0] == pytest.approx(COV[0] / 50, rel=0.05)
 
 
-def test_mailbox_refuses_what_does_not_belong_there() -> None:
+def test_cache_refuses_what_does_not_belong_there() -> None:
     box = EstimateCache("tank", "r1", "ball", ("r2",))
     for src, bad in (
         ("r9", estimate(src="r9")),
@@ -141,7 +141,7 @@ def test_mailbox_refuses_what_does_not_belong_there() -> None:
     assert box.senders["r2"].heard == 0
 
 
-def test_mailbox_counts_gaps_refuses_repeats_and_believes_a_restart() -> None:
+def test_cache_counts_gaps_refuses_repeats_and_believes_a_restart() -> None:
     box = EstimateCache("tank", "r1", "ball", ("r2",))
     box.put("r2", estimate(seq=3), 0)
     box.put("r2", estimate(seq=6), 0)

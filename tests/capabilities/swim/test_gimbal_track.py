@@ -1,4 +1,4 @@
-"""The gaze at a target that swims: still while it is seen, then over all places where it may be."""
+"""The track at a target that swims: still while it is seen, then over all places where it may be."""
 
 import math
 
@@ -26,11 +26,11 @@ def test_the_triangle() -> None:
 
 def swings(half_deg: float, seconds: float) -> list[float]:
     """Each step of 50 ms after it was lost."""
-    gaze, found = GimbalTrack(0.0), []
-    gaze.saw(START_NS)
+    track, found = GimbalTrack(0.0), []
+    track.saw(START_NS)
     for step in range(round((seconds + LOST_NS * 1e-9) * 20)):
         now_ns = START_NS + step * S // 20
-        unseen_s, swing = gaze.unseen_s(now_ns), gaze.swing(half_deg, now_ns)
+        unseen_s, swing = track.unseen_s(now_ns), track.swing(half_deg, now_ns)
         assert unseen_s == pytest.approx(max(step / 20 - LOST_NS * 1e-9, 0.0)) and (unseen_s or not swing)
         found.append(swing)
     return found[round(LOST_NS * 2e-8) :]
@@ -44,13 +44,13 @@ def test_it_goes_to_and_fro_and_no_faster_than_frames_and_tags_allow() -> None:
 
 
 def test_how_long_it_was_lost_counts_anew_after_a_look_elsewhere() -> None:
-    gaze = GimbalTrack(0.25)
-    gaze.saw(START_NS)
-    gaze.swing(15.0, START_NS)
-    gaze.saw(START_NS - S)
-    assert gaze.sees(START_NS + LOST_NS), "an older frame that comes later says nothing new"
-    assert not gaze.sees(START_NS + S)
-    assert gaze.unseen_s(START_NS + 3 * S) == 0.0, "the camera was elsewhere meanwhile"
+    track = GimbalTrack(0.25)
+    track.saw(START_NS)
+    track.swing(15.0, START_NS)
+    track.saw(START_NS - S)
+    assert track.sees(START_NS + LOST_NS), "an older frame that comes later says nothing new"
+    assert not track.sees(START_NS + S)
+    assert track.unseen_s(START_NS + 3 * S) == 0.0, "the camera was elsewhere meanwhile"
 
 
 def test_where_it_may_be_is_the_line_of_sight_of_the_one_that_sees_it() -> None:
