@@ -46,7 +46,7 @@ class Look(NamedTuple):
     found: bool
     right: bool  # found where it is
     there: There | None  # by the twin; None: it does not say
-    glances: bool  # the camera was looking for landmarks
+    at_landmarks: bool  # the camera was looking for landmarks
 
 
 class Held(NamedTuple):
@@ -281,7 +281,7 @@ def _reason(look: Look) -> str:
         case "shows":
             return "seen again" if look.right else "in the picture, not found"
         case "outside":
-            return "camera at landmarks" if look.glances else "not in the picture"
+            return "camera at landmarks" if look.at_landmarks else "not in the picture"
         case None:
             return "found again" if look.found else "not found"
 
