@@ -321,7 +321,8 @@ class Capability(Revertible):
         return situation
 
     def carry_out(self, command: Args) -> bool:
-        """Whether a command of an operator is its own; then it is done. Raises Refusal, and has done nothing."""
+        """Whether a command of an operator is its own; then it is done. Raises Refusal, and has done nothing. No other
+        capability has a command of it but `Resume` and `HoldHere`, which none refuses."""
         return False
 
     def outgoing(self, situation: Situation) -> Iterable[Outgoing]:

@@ -126,7 +126,8 @@ class Commands(Revertible):
         if what.depth_m is not None:
             within("depth_m", what.depth_m, SURFACE_M, self._fleet.tank.surface_m)
             self.overrides = self.overrides._replace(depth_m=what.depth_m)
-        if self._equipment.carry_out(what):
+        self._equipment.carry_out(what)
+        if self._equipment.source.moves:
             self.overrides = self.overrides._replace(behaviour=Hold())
 
     def _draw(self, what: DrawBox) -> None:

@@ -66,6 +66,7 @@ class BlackBox(NamedTuple):
     recorded: int  # steps in the file, sound or not
     complete: bool  # finished by its writer, nothing torn
     schema: int = SCHEMA  # of its messages
+    retired: tuple[str, ...] = ()  # settings of its fleet file that there are no more, and that were in force
 
     def agent(self) -> Agent:
         """The robot's agent as it was before its first step."""
@@ -158,6 +159,7 @@ def _open_box(path: Path) -> BlackBox:
         recorded=sum(each.steps for each in heads),
         complete=all(each.complete for each in heads),
         schema=schema,
+        retired=tuple(_retired(tomllib.loads(attachments["fleet.toml"]))),
     )
 
 
@@ -171,6 +173,13 @@ def schema_of(path: Path, run: Mapping[str, str]) -> int:
 
 
 RETIRED = (("lighting", "follow"),)  # table and setting of fleet files that older recordings hold
+
+
+def _retired(data: Mapping[str, Any]) -> Iterator[str]:
+    """Such settings of a fleet file as were in force."""
+    for table, setting in RETIRED:
+        if isinstance(held := data.get(table), dict) and held.get(setting):
+            yield f"[{table}] {setting}"
 
 
 def attached_toml(path: Path, name: str, attachments: Mapping[str, str], kind: type[T]) -> T:
@@ -411,6 +420,7 @@ def environment_notes(box: BlackBox) -> list[str]:
     notes += (
         [] if says_grants(box) else ["recorded before robots said who has camera, body and lamp: compared but for it"]
     )
+    notes += [f"recorded with {setting}, which there is no more: a robot does not repeat it" for setting in box.retired]
     if other_cpu(box):
         notes.append(f"another class of CPU: floats may differ by {TOLERANCE:g}, relative or absolute")
     return notes

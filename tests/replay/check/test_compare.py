@@ -15,7 +15,7 @@ from agent.perception.vision import rerun_vision
 from replay.check.check import check, text, update_recordings
 from replay.check.compare import ABSENT, Difference, differences, must_differ
 from replay.check.explain import explain
-from replay.check.reexecute import Divergence, open_box, schema_of
+from replay.check.reexecute import Divergence, environment_notes, open_box, schema_of
 from replay.check.vision_check import check_vision
 from replay.files.log import Record
 from replay.files.recover import recover
@@ -94,6 +94,13 @@ def test_a_grant_that_is_missing_is_a_difference(tmp_path: Path) -> None:
 
     checked = check([rewritten(GOLDEN / "dark_survey" / "r1.mcap", tmp_path / "r1.mcap", change)])
     assert checked.exit_code == 1 and "grants" in text(checked)
+
+
+def test_a_setting_that_there_is_no_more_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert open_box(GOLDEN / "lit" / "r1.mcap").retired == ()
+    monkeypatch.setattr("replay.check.reexecute.RETIRED", (("link", "send_hz"),))
+    box = open_box(GOLDEN / "lit" / "r1.mcap")
+    assert any("recorded with [link] send_hz, which there is no more" in line for line in environment_notes(box))
 
 
 def said(topic: str, to: str, payload: bytes = msgpack.packb({"a": 1})) -> dict:
