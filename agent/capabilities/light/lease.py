@@ -142,7 +142,7 @@ def _before(lease: Lease, holder: str, other: Lease, others: str) -> bool:
 
 
 def tick(party: Party, guard_ns: int, now_ns: int) -> Party:
-    """What time does: leases end, and whoever asked has been answered or has waited for long enough.
+    """What time does: leases end, and a robot that asked has been answered or has waited for long enough.
 
     All who were heard of late obey, or the guard is over and nobody busy: the own lease is in force. Somebody busy
     when the guard is over: it is given up.

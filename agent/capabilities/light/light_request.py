@@ -185,7 +185,7 @@ class LightSearch(Revertible):
         return situation.now_ns - max(lit_ns, situation.camera.steady_from_ns) > SHOWN_NS
 
     def follows(self, party: Party, situation: Situation) -> Vector | None:
-        """The place that is lit, by whosever lease, for the camera to look at. What it sees there by another's is its
+        """The place that is lit, by anybody's lease, for the camera to look at. What it sees there by another's is its
         own next place."""
         if party.bound is None:
             return self.at_m if party.mine is not None and party.mine.granted else None

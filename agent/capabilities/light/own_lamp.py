@@ -125,7 +125,7 @@ class OwnLamp(Revertible):
         return self._burn(1.0, self.lamp.us if near and self.lamp.power else us, party, at)
 
     def _as_ordered(self, party: Party, lit: OrderedLight) -> tuple[float, tuple[int, int]]:
-        """It does not change for anybody's lease; whoever has one is told, and own sweeps are made as it burns."""
+        """It does not change for anybody's lease; its holder is told, and own sweeps are made as it burns."""
         us = self.aim.us(lit.pan_deg), self.aim.us(lit.tilt_deg)
         self._us = us if party.mine is not None and party.mine.granted else None
         self._obeyed = None
@@ -182,7 +182,7 @@ def speed(own: OwnView | None) -> float:
 
 
 # --- telemetry ---
-# A robot's lamp and whose light it is, for whoever looks.
+# A robot's lamp and whose light it is, for people who look.
 
 
 def lamp_state(party: Party, own: LampNow, spoiled: int) -> LampState:
