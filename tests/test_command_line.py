@@ -201,9 +201,19 @@ def children(pid: int) -> list[int]:
     return [int(child) for child in Path(f"/proc/{pid}/task/{pid}/children").read_text().split()]
 
 
+@pytest.fixture
+def heeds_ctrl_c() -> Iterator[None]:
+    """A shell that runs the tests in the background ignores SIGINT for them, and so for the processes that they start."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
 @pytest.mark.skipif(not Path("/proc/self/task").exists(), reason="looks for children in /proc, which is Linux")
 @pytest.mark.parametrize(("number", "code"), [(signal.SIGTERM, 143), (signal.SIGINT, 130)])
-def test_a_signal_ends_a_command_and_the_processes_that_it_started(number: int, code: int, tmp_path: Path) -> None:
+def test_a_signal_ends_a_command_and_the_processes_that_it_started(
+    number: int, code: int, tmp_path: Path, heeds_ctrl_c: None
+) -> None:
     command = [sys.executable, "-m", "agent", "calibrate", "run", TANK, "--robot", "r1", "--out", "r1.toml"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as calibration:
         deadline_s = time.monotonic() + 20.0
