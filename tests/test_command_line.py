@@ -203,7 +203,7 @@ def children(pid: int) -> list[int]:
 
 @pytest.fixture
 def heeds_ctrl_c() -> Iterator[None]:
-    """A shell that runs the tests in the background ignores SIGINT for them, and so for the processes that they start."""
+    """A shell that runs tests in the background ignores SIGINT for them, and so for processes that they start."""
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
     yield
     signal.signal(signal.SIGINT, before)
