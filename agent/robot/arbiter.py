@@ -8,6 +8,7 @@ that a column leaves out.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from functools import reduce
 from typing import Any, get_args
 
 import msgspec
@@ -104,19 +105,13 @@ class Equipment(Capability):
         raise Refusal("address", f"no capability listens to the topic '{heard.topic}'")
 
     def update(self, inputs: Inputs, situation: Situation) -> Situation:
-        for one in self.by_name.values():
-            situation = one.update(inputs, situation)
-        return situation
+        return reduce(lambda now, one: one.update(inputs, now), self.by_name.values(), situation)
 
     def decide(self, situation: Situation) -> Situation:
-        for one in self.by_name.values():
-            situation = one.decide(situation)
-        return situation
+        return reduce(lambda now, one: one.decide(now), self.by_name.values(), situation)
 
     def settle(self, situation: Situation) -> Situation:
-        for one in self.by_name.values():
-            situation = one.settle(situation)
-        return situation
+        return reduce(lambda now, one: one.settle(now), self.by_name.values(), situation)
 
     def bearing(self, target: str, believed: Callable[[], Posterior | None], now_ns: int) -> Bearing | None:
         found = (one.bearing(target, believed, now_ns) for one in self.by_name.values())
