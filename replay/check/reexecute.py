@@ -159,7 +159,7 @@ def _open_box(path: Path) -> BlackBox:
         recorded=sum(each.steps for each in heads),
         complete=all(each.complete for each in heads),
         schema=schema,
-        retired=tuple(_retired(tomllib.loads(attachments["fleet.toml"]))),
+        retired=retire(tomllib.loads(attachments["fleet.toml"])),
     )
 
 
@@ -175,20 +175,19 @@ def schema_of(path: Path, run: Mapping[str, str]) -> int:
 RETIRED = (("lighting", "follow"),)  # table and setting of fleet files that older recordings hold
 
 
-def _retired(data: Mapping[str, Any]) -> Iterator[str]:
-    """Such settings of a fleet file as were in force."""
-    for table, setting in RETIRED:
-        if isinstance(held := data.get(table), dict) and held.get(setting):
-            yield f"[{table}] {setting}"
+def retire(data: Mapping[str, Any]) -> tuple[str, ...]:
+    """Take such settings out of a file that was read; returns those that were in force."""
+    tables = ((data.get(table), table, setting) for table, setting in RETIRED)
+    return tuple(
+        f"[{table}] {setting}" for held, table, setting in tables if isinstance(held, dict) and held.pop(setting, None)
+    )
 
 
 def attached_toml(path: Path, name: str, attachments: Mapping[str, str], kind: type[T]) -> T:
     """An attachment as the struct it holds, without settings that there are no more. Raises ConfigError, one line."""
     try:
         data = tomllib.loads(attachments[name])
-        for table, setting in RETIRED:
-            if isinstance(held := data.get(table), dict):
-                held.pop(setting, None)
+        retire(data)
         return convert(data, kind, path / name)
     except (tomllib.TOMLDecodeError, RecursionError):
         raise ConfigError(f"{path}: damaged: {name} in it is no TOML; take another copy of the file") from None
@@ -293,7 +292,7 @@ def reexecute(
     """Replay one recording from its first step to its last sound one; `watch` is shown each step as it was recorded."""
     agent = box.agent()
     tolerance = TOLERANCE if other_cpu(box) else 0.0
-    tally = Tally(box.robot, ignored, tolerance, box.schema)
+    tally = Tally(box.robot, ignored, tolerance, box.schema, says_grants(box))
     digest = sha256()
     start_ns = now_ns = 0
     reported_s = machine.monotonic_s()
@@ -330,8 +329,12 @@ def take(agent: Agent, step: Step) -> Any:
 class Tally:
     """Compares step by step and keeps the count."""
 
-    def __init__(self, robot: str, ignored: Sequence[Ignored], tolerance: float, schema: int = SCHEMA) -> None:
+    def __init__(
+        self, robot: str, ignored: Sequence[Ignored], tolerance: float, schema: int = SCHEMA, grants: bool = True
+    ) -> None:
+        """grants: it was recorded who has camera, body and lamp."""
         self._robot, self._rows, self._tolerance, self._schema = robot, ignored, tolerance, schema
+        self.grants = grants
         self.compared = 0
         self.last = -1  # step compared
         self.silent: int | None = None  # the first step without recorded outputs
@@ -339,7 +342,6 @@ class Tally:
         self.fields: dict[str, FieldCount] = {}
         self.ignored: Counter[str] = Counter()
         self._within = False  # some float differed by less than the tolerance
-        self._grants = True  # it was recorded who has what
 
     @property
     def verdict(self) -> Verdict:
@@ -353,10 +355,8 @@ class Tally:
             return
         self.compared, self.last = self.compared + 1, step.number
         counted: set[str] = set()
-        if self.compared == 1:  # all is granted for the first time
-            self._grants = b"grants" in step.outputs
         for difference in differences(step.outputs, outputs):
-            if not self._grants and difference.recorded is ABSENT and difference.plain.startswith("grants"):
+            if not self.grants and difference.recorded is ABSENT and difference.plain.startswith("grants"):
                 continue
             row = next((row for row in self._rows if row.covers(difference)), None)
             if must_differ(self._schema, difference):
@@ -397,8 +397,9 @@ def unreadable(box: BlackBox, step: Step, why: str) -> Reexecution:
 
 def says_grants(box: BlackBox) -> bool:
     """Whether it was recorded who has camera, body and lamp: all is granted in the first step that does not hold."""
-    steps = [step.outputs for step in box.steps() if step.outputs is not None]
-    return not steps or any(b"grants" in outputs for outputs in steps)
+    recorded = (step.outputs for step in box.steps() if step.outputs is not None)
+    first = next(recorded, None)
+    return first is None or b"grants" in first or any(b"grants" in outputs for outputs in recorded)
 
 
 def other_cpu(box: BlackBox) -> bool:
@@ -417,9 +418,6 @@ def environment_notes(box: BlackBox) -> list[str]:
     ]
     notes = [f"recorded elsewhere: {', '.join(changed)}"] if changed else []
     notes += [older] if (older := note(box.schema)) is not None else []
-    notes += (
-        [] if says_grants(box) else ["recorded before robots said who has camera, body and lamp: compared but for it"]
-    )
     notes += [f"recorded with {setting}, which there is no more: a robot does not repeat it" for setting in box.retired]
     if other_cpu(box):
         notes.append(f"another class of CPU: floats may differ by {TOLERANCE:g}, relative or absolute")
@@ -429,6 +427,8 @@ def environment_notes(box: BlackBox) -> list[str]:
 def range_notes(box: BlackBox, taken: int, tally: Tally) -> list[str]:
     """Which part of the recording the verdict is about, where it is not all of it."""
     notes = []
+    if not tally.grants:
+        notes.append("recorded before robots said who has camera, body and lamp: compared but for it")
     broken = tally.first is not None and tally.first.difference.field == "step"
     if taken < box.recorded and not broken:
         notes.append(f"steps are missing after step {taken - 1}: {box.recorded - taken} later ones cannot be checked")
