@@ -227,17 +227,17 @@ class Outputs(Message, frozen=True, kw_only=True):
     def upgraded(cls, fields: dict[str, Any]) -> dict[str, Any]:
         """Outputs as older recordings have them: each topic of a capability was a field of its own. Fields that hold no
         messages stay, and are refused as unknown ones."""
-        if "outgoing" in fields:
+        words = {name: fields[name] for name in OLDER if name in fields}
+        held = words.values()
+        if "outgoing" in fields or not all(isinstance(each, list) and all(map(_to_somebody, each)) for each in held):
             return fields
-        said = []
-        for name in OLDER.keys() & fields.keys():
-            if not isinstance(fields[name], list) or not all(map(_to_somebody, fields[name])):
-                return fields
-        for name, topic in OLDER.items():
-            words = fields.get(name, ())
-            said += [{"topic": topic, "to": each["dst"], "payload": msgpack.packb(each)} for each in words]
-        kept = {name: held for name, held in fields.items() if name not in OLDER}
-        return kept | {"outgoing": said} if len(kept) < len(fields) else fields
+        said = [
+            {"topic": OLDER[name], "to": each["dst"], "payload": msgpack.packb(each)}
+            for name in words
+            for each in words[name]
+        ]
+        named = (("outgoing", said) if name in OLDER else (name, value) for name, value in fields.items())
+        return dict(named)
 
     def said(self, topic: Topic) -> Iterator[Any]:
         """What neighbours are told on a topic, decoded."""
@@ -250,4 +250,5 @@ def _to_somebody(message: Any) -> bool:
     return isinstance(message, dict) and isinstance(message.get("dst"), str)
 
 
-OLDER = {"near": "near", "claims": "claim", "keyframes": "keyframe", "light": "light"}  # field, and topic
+# Field and topic, in the order in which a robot says them.
+OLDER = {"near": "near", "light": "light", "claims": "claim", "keyframes": "keyframe"}

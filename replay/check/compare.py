@@ -18,7 +18,7 @@ import msgpack
 
 from agent.core.config import ConfigError, Struct, convert
 from agent.core.messages import SCHEMA
-from agent.core.step_io import OLDER
+from agent.core.step_io import OLDER, Outputs
 
 
 class Absent:
@@ -90,11 +90,10 @@ def differences(recorded: bytes, replayed: bytes) -> list[Difference]:
     try:
         before = msgpack.unpackb(recorded)
         older = isinstance(before, dict) and not OLDER.keys().isdisjoint(before)
-        shown = by_topic if older else opened
-        fields = shown(before)
+        fields = opened(Outputs.upgraded(before) if older else before)
     except (ValueError, TypeError, KeyError, AttributeError, msgpack.UnpackException, RecursionError):
         return [Difference("outputs", f"{len(recorded)} bytes that are no message", "a message")]
-    found = list(_walk(fields, shown(msgpack.unpackb(replayed)), ""))
+    found = list(_walk(fields, opened(msgpack.unpackb(replayed)), ""))
     return found if found or older else [Difference("outputs", "these bytes", "other bytes of the same fields")]
 
 
@@ -105,17 +104,6 @@ def opened(outputs: Any) -> Any:
     return outputs | {
         "outgoing": [said | {"payload": msgpack.unpackb(said["payload"])} for said in outputs["outgoing"]]
     }
-
-
-def by_topic(outputs: Any) -> Any:
-    """Outputs of a step with what neighbours are told by its topic, message by message, as older recordings have it."""
-    if not isinstance(outputs, dict):
-        return outputs
-    told: dict[str, list[Any]] = {OLDER[name]: list(outputs[name]) for name in OLDER if name in outputs}
-    for said in outputs.get("outgoing", ()):
-        told.setdefault(said["topic"], []).append(msgpack.unpackb(said["payload"]))
-    kept = {name: held for name, held in outputs.items() if name not in OLDER and name != "outgoing"}
-    return kept | dict(sorted(told.items()))
 
 
 def _walk(recorded: Any, replayed: Any, path: str) -> Iterator[Difference]:
