@@ -14,7 +14,7 @@ from tests.places import ROOT
 PAGES = sorted(
     [
         *ROOT.glob("*.md"),
-        *ROOT.glob("docs/*.md"),
+        *ROOT.glob("docs/**/*.md"),
         *(ROOT / name / "README.md" for name in ("hw", "replay", "router_config")),
     ]
 )

@@ -1,181 +1,183 @@
-"""`aucamp experiment NAME`: which experiments there are, and which of the common options each takes."""
+"""`aucamp experiment NAME`: run a claim; `list`: which there are; `docs`: write their pages."""
 
 from __future__ import annotations
 
+import hashlib
+import json
+import shlex
+import sys
 from collections.abc import Sequence
 from enum import StrEnum
-from importlib import import_module
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, get_args
+from typing import TYPE_CHECKING, Annotated, Any
 
 import msgspec
 import typer
 
 from agent.core.config import ConfigError
-from agent.experiments.experiment import (
-    WATERS,
-    FollowingPolicy,
-    LightWater,
-    LocalizationKind,
-    ModelKind,
-    NavigationCase,
-    PosesKind,
-    ScenePart,
-    no_figures,
-    perform,
-)
-from agent.process.command import OutFolder, refuse_options, terminal
+from agent.experiments.registry import CLAIMS, code_of, load
+from agent.process.command import refuse_options, terminal, with_bar
+
+if TYPE_CHECKING:
+    from agent.experiments.claim import Claim
+    from agent.experiments.run_claim import Plan
 
 app = typer.Typer()
 
-
-class Part(NamedTuple):
-    """What `--only` chooses from."""
-
-    field: str  # of the experiment's Settings
-    names: tuple[str, ...]
-    several: bool = True  # whether the field holds several of them
-
-
-class Experiment(NamedTuple):
-    """A module of agent.experiments with Settings, run, table and perhaps figures, and how options become Settings."""
-
-    module: str
-    about: str
-    counted: str  # by the progress bar
-    seeds: str = ""  # the field that --seeds sets; none: takes no --seeds
-    only: tuple[Part, ...] = ()
-    quick: bool = False
-
-
-WATER = Part("waters", WATERS)
-EXPERIMENTS = {
-    "calibration": Experiment("calibration", "range against focus position, on the bench", "distances of the board"),
-    "depth": Experiment("depth", "depth of whole views from focus: our peak, the paper's", "sweeps of whole views"),
-    "detection": Experiment(
-        "detection", "whether the ball is found, sharp or not, raw or enhanced", "places", "count", (WATER,)
-    ),
-    "peak-shift": Experiment("peak_shift", "how far enhancement moves the focus peak", "sweeps", only=(WATER,)),
-    "consistency": Experiment("consistency", "whether measurements are as wrong as they say", "measurements", "count"),
-    "localization": Experiment(
-        "localization.localization",
-        "protocols against the Cramer-Rao bound; loss, robots that lie",
-        "dives",
-        only=(Part("only", get_args(LocalizationKind), several=False),),
-        quick=True,
-    ),
-    "orientation": Experiment(
-        "orientation", "push and depth step under three control laws", "dives of up to five robots", "seeds"
-    ),
-    "navigation": Experiment(
-        "navigation.navigation",
-        "robots that swim: hold, go, turn, orbit, search, keep apart",
-        "worlds of robots that swim",
-        "seeds",
-        (Part("only", get_args(NavigationCase), several=False),),
-        quick=True,
-    ),
-    "reconstruction": Experiment(
-        "reconstruction.reconstruction",
-        "scenes from focus sweeps; what a survey learns and costs",
-        "sweeps and surfaces",
-        "seeds",
-        (
-            Part("only", get_args(ScenePart), several=False),
-            WATER,
-            Part("poses", get_args(PosesKind)),
-            Part("model", get_args(ModelKind), several=False),
-        ),
-    ),
-    "following": Experiment(
-        "following",
-        "a target that swims: robots that share, are silent, are moored",
-        "seconds of work",
-        "seeds",
-        (Part("only", get_args(FollowingPolicy), several=False), Part("robots", ("1", "2", "3", "5"), several=False)),
-    ),
-    "lighting": Experiment(
-        "lighting",
-        "lamps lent in the dark: own, all, one set, the rule, the optimum",
-        "distances and fleets",
-        "scenes",
-        (Part("waters", get_args(LightWater)),),
-    ),
-}
-OWN_PICTURES = Experiment("detection_pictures", "", "pictures")
-
+LIST, DOCS = "list", "docs"
+MISSED, NOT_SHOWN = 1, 3  # exit codes; 2 is bad input
 # typer takes a choice of an Enum, not of names that are known at run time alone
-Name = StrEnum("Name", [(name, name) for name in EXPERIMENTS])  # type: ignore[misc]
-WIDTH = max(map(len, EXPERIMENTS))
+Name = StrEnum("Name", [(name, name) for name in (*CLAIMS, LIST, DOCS)])  # type: ignore[misc]
+WIDTH = max(map(len, CLAIMS), default=0)
 HELP = "\n\n".join(
     [
-        "The paper's experiments, and more, on the twin: tables, figures and result.json.",
-        "\b\n" + "\n".join(f"{name:{WIDTH}}  {one.about}" for name, one in EXPERIMENTS.items()),
-        "What --only takes:",
-        "\b\n"
-        + "\n".join(
-            f"{name:{WIDTH}}  {'; '.join(' '.join(part.names) for part in one.only)}"
-            for name, one in EXPERIMENTS.items()
-            if one.only
-        ),
-        "Exit 1 where a target is missed. docs/experiments.md has what each shows.",
+        "Measure a claim for many seeds side by side, and say how sure the figures are. `list` shows the last results; "
+        "`docs DIR...` keeps the results of these runs and writes docs/research.",
+        "\b\n" + "\n".join(f"{name:{WIDTH}}  {entry.about}" for name, entry in CLAIMS.items()),
+        "Exit 0: all targets are met; 1: one is missed; 3: one is not shown.",
     ]
 )
 
 
-@app.command(no_args_is_help=True, help=HELP, epilog="Example: aucamp experiment navigation --only hold --seeds 5")
+@app.command(no_args_is_help=True, help=HELP, epilog="Example: aucamp experiment manoeuvres --only hold --seeds 20")
 def experiment(
-    name: Annotated[Name, typer.Argument(metavar="NAME", help="Which, of those above.")],
-    seed: Annotated[int | None, typer.Option(min=0, help="The first world of the twin; 0 if not given.")] = None,
-    seeds: Annotated[
-        int | None,
-        typer.Option(min=1, help="How many worlds, places or measurements; what targets need if not given."),
+    name: Annotated[Name, typer.Argument(metavar="NAME", help="Which, of those above; list; docs.")],
+    runs: Annotated[list[Path] | None, typer.Argument(metavar="DIR", help="docs: folders of runs to keep.")] = None,
+    seeds: Annotated[int | None, typer.Option(min=1, help="How many; the claim's own number if not given.")] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="The first; 0 if not given.")] = None,
+    only: Annotated[list[str] | None, typer.Option(metavar="CASE", help="Only this case; again for more.")] = None,
+    settings: Annotated[
+        list[str] | None, typer.Option("--set", metavar="NAME=VALUE", help="One of the claim's settings.")
     ] = None,
-    only: Annotated[list[str] | None, typer.Option(help="Only this part; again for more; else all.")] = None,
     quick: Annotated[bool, typer.Option("--quick", help="Little of it, for a look; no verdict.")] = False,
-    pictures: Annotated[
-        Path | None, typer.Option(metavar="DIR", help="detection: of your own pictures, balls in DIR's truth.csv.")
+    out: Annotated[
+        Path | None, typer.Option(help="Folder of the run; if it is there, the run goes on. Else below runs.")
     ] = None,
-    out: OutFolder = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Processes side by side; one a core if not given.")] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="tcp://HOST:PORT", help="Of a Dask cluster that runs the seeds.")
+    ] = None,
 ) -> None:
-    which = EXPERIMENTS[name]
-    given = {"--seed": seed, "--seeds": seeds, "--only": only, "--quick": quick, "--pictures": pictures}
-    if pictures is not None and name == "detection":
-        refuse_options("experiment detection --pictures", given, ("--pictures",))
-        perform_one(OWN_PICTURES, {"folder": pictures}, out)
-        return
-    takes = [("--seeds", which.seeds), ("--only", which.only), ("--quick", which.quick)]
-    refuse_options(f"experiment {name}", given, ("--seed", *(option for option, does in takes if does)))
-    asked: dict[str, Any] = {"seed": seed or 0}
-    if seeds is not None:
-        asked[which.seeds] = seeds
-    if quick:
-        asked["quick"] = True
-    perform_one(which, asked | parts(name, which, only or ()), out)
+    given: dict[str, object] = {
+        "--seeds": seeds,
+        "--seed": seed,
+        "--only": only,
+        "--set": settings,
+        "--quick": quick,
+        "--out": out,
+        "--jobs": jobs,
+        "--scheduler": scheduler,
+    }
+    if name in (LIST, DOCS):
+        refuse_options(f"experiment {name}", {**given, "DIR": runs}, ("DIR",) if name == DOCS else ())
+        return show_list() if name == LIST else write_docs(runs or ())
+    refuse_options(f"experiment {name}", {"DIR": runs}, ())
+    claim = load(CLAIMS[name].module)
+    plan = plan_of(str(name), claim, seeds, seed or 0, only or (), settings or (), quick)
+    raise typer.Exit(run(plan, claim, out, jobs, scheduler, quick))
 
 
-def parts(name: str, which: Experiment, only: Sequence[str]) -> dict[str, Any]:
-    """Fields of Settings by what --only names. Raises ConfigError for a name that is none, or two where one goes."""
-    known = [part_name for part in which.only for part_name in part.names]
-    for asked in only:
-        if asked not in known:
-            raise ConfigError(f"experiment {name}: --only {asked}: choose from {', '.join(known)}")
-    found: dict[str, Any] = {}
-    for part in which.only:
-        chosen = tuple(part_name for part_name in part.names if part_name in only)
-        if len(chosen) > 1 and not part.several:
-            raise ConfigError(f"experiment {name}: --only takes one of {', '.join(part.names)}; leave {chosen[1]} out")
-        if chosen:
-            found[part.field] = chosen if part.several else chosen[0]
-    return found
+def plan_of(
+    name: str,
+    claim: Claim,
+    seeds: int | None,
+    first: int,
+    only: Sequence[str],
+    settings: Sequence[str],
+    quick: bool,
+) -> Plan:
+    """What the options ask for. Raises ConfigError."""
+    from agent.experiments.run_claim import Plan
+
+    for case in only:
+        if case not in claim.cases:
+            raise ConfigError(f"experiment {name}: --only {case}: choose from {', '.join(claim.cases)}")
+    cases = tuple(case for case in claim.cases if case in (only or claim.by_default or claim.cases))
+    count = seeds or (1 if quick or claim.exact else claim.seeds)
+    chosen = asked(name, claim, settings, claim.quick if quick else {})
+    return Plan(name, CLAIMS[name], code_of(name), chosen, cases, range(first, first + count))
 
 
-def perform_one(which: Experiment, asked: dict[str, Any], out: Path | None) -> None:
-    """Load the module, which takes seconds, and run it. Raises ConfigError and Failed."""
-    module = import_module(f"agent.experiments.{which.module}")
+def asked(name: str, claim: Claim, settings: Sequence[str], before: Any) -> msgspec.Struct:
+    """Settings by NAME=VALUE. Raises ConfigError for a name or a value that is none."""
+    fields, values = claim.settings.__struct_fields__, dict(before)
+    for text in settings:
+        key, is_given, value = text.partition("=")
+        if key not in fields or not is_given:
+            known = f"NAME one of {', '.join(fields)}" if fields else "it has no settings"
+            raise ConfigError(f"experiment {name}: --set {text}: write NAME=VALUE, {known}")
+        values[key] = value.split(",") if isinstance(getattr(claim.settings(), key, None), tuple) else value
     try:
-        settings = msgspec.convert(asked, module.Settings, strict=False)
+        return msgspec.convert(values, claim.settings, strict=False)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"experiment: {error}") from None
-    figures = getattr(module, "figures", no_figures)
-    perform(module.run, settings, module.table, out, terminal(), which.counted, figures)
+        raise ConfigError(f"experiment {name}: {error}") from None
+
+
+def run(plan: Plan, claim: Claim, out: Path | None, jobs: int | None, scheduler: str | None, quick: bool) -> int:
+    """Run it, write the results and print the table; the exit code."""
+    from agent.experiments.claim import measure
+    from agent.experiments.pages import table
+    from agent.experiments.results import result_of, run_of, write_result
+    from agent.experiments.run_claim import run_plan
+
+    console, folder = terminal(), out or folder_of(plan)
+    what = f"{plan.name}: cases and seeds"
+    found = with_bar(console, what, lambda show: run_plan(plan, folder, jobs, scheduler, show, claim))
+    result = result_of(plan, claim, measure(claim, found.rows))
+    command = " ".join(["aucamp", *map(shlex.quote, sys.argv[1:])])
+    write_result(result, run_of(plan, command, found.seconds_a_seed, quick), folder)
+    console.print(table(result.figures, f"{plan.name}: {CLAIMS[plan.name].about} ({claim.measured_on})"))
+    if found.kept:
+        console.print(
+            f"{found.kept} of {len(plan.pieces)} cases and seeds were in {folder} before; remove it to run anew"
+        )
+    console.print(f"written to {folder}")
+    if quick:
+        console.print("no verdict: --quick runs too little of it")
+        return 0
+    verdicts = {told.verdict for told in result.figures}
+    return MISSED if "missed" in verdicts else NOT_SHOWN if "not shown" in verdicts else 0
+
+
+def folder_of(plan: Plan) -> Path:
+    """Named by what is measured, so that the same command goes on with the same folder."""
+    mark = hashlib.sha256(json.dumps(plan.of, sort_keys=True).encode()).hexdigest()[:8]
+    return Path("runs") / f"{plan.name}-{mark}"
+
+
+def show_list() -> None:
+    """Name, one line, cost and last result of each."""
+    from rich.table import Table
+
+    from agent.experiments.results import read_kept
+
+    shown = Table()
+    for head in ("claim", "about", "two cores", "last result", ""):
+        shown.add_column(head, justify="right" if head == "two cores" else "left")
+    for name, entry in CLAIMS.items():
+        kept = read_kept(name)
+        code = code_of(name) if kept else ""
+        counts = [
+            f"{sum(one.told.verdict == verdict for one in kept)} {verdict}"
+            for verdict in ("met", "missed", "not shown")
+            if any(one.told.verdict == verdict for one in kept)
+        ]
+        dates = sorted({one.run.date for one in kept})
+        runs = {one.run.command: one.run.seconds_a_seed * (one.seeds[1] - one.seeds[0] + 1) for one in kept}
+        cost = f"{sum(runs.values()) / 2 / 60:.1f} min" if kept else ""
+        old = "older than the code" if any(one.run.code != code for one in kept) else ""
+        last = f"{', '.join(counts) or 'no targets'}; {dates[-1]}" if kept else "not measured"
+        shown.add_row(name, entry.about, cost, last, old)
+    terminal().print(shown)
+
+
+def write_docs(runs: Sequence[Path]) -> None:
+    """Keep the results of these runs, and write all pages."""
+    from agent.experiments.pages import PAGES, write_pages
+    from agent.experiments.results import keep
+
+    if not PAGES.parent.is_dir():
+        raise ConfigError("experiment docs: there is no folder docs here; run it in a checkout of the repository")
+    for name in keep(runs):
+        terminal().print(f"kept {name}")
+    terminal().print(f"{len(write_pages())} files written to {PAGES}")

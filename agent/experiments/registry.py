@@ -1,0 +1,115 @@
+"""The table of all claims: which there are, and where their code is. Nothing heavy: `aucamp --help` reads it.
+
+A claim below `tests` measures with the tests' own harness, so it runs in a checkout of the repository alone.
+"""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+from typing import TYPE_CHECKING, NamedTuple
+
+from agent.core.config import ConfigError
+from agent.experiments.code_state import ROOT, code_hash, path_of
+
+if TYPE_CHECKING:
+    from agent.experiments.claim import Claim
+
+
+class Entry(NamedTuple):
+    """Where a claim is, and what it says in one line."""
+
+    module: str  # has the constant CLAIM
+    about: str
+    group: str  # its heading in docs/research/claims.md
+    also: tuple[str, ...] = ()  # files and folders that it runs without importing them
+
+
+E, B, S = "agent.experiments.", "tests.bench.", "tests.studies."
+DEMO, SWIM, FISH, LIGHT = "Finding a target together", "Robots that swim", "Following what swims", "Light"
+WRONG, FOCUS, PICTURES, SCENE = "When something is wrong", "Distance from focus", "Pictures", "Surveys and scenes"
+BODY, NETWORK, COST = "Body and board", "Networks and people", "What it costs"
+
+CLAIMS: dict[str, Entry] = {
+    "demo": Entry(
+        B + "bench_demo", "robots find a target together, as `aucamp demo` has them", DEMO, ("agent/fleets",)
+    ),
+    "localization": Entry(E + "localization.localization", "protocols against the Cramer-Rao bound", DEMO),
+    "liar": Entry(S + "liar.claim", "how far robots that lie as well as they can move the others", WRONG),
+    "doubt": Entry(B + "bench_doubt", "what doubting one's own places is worth", DEMO),
+    "tag-fix": Entry(E + "navigation.tag_fix", "where a robot is, by the tags of one frame", SWIM),
+    "manoeuvres": Entry(E + "navigation.manoeuvres", "one robot holds, goes, turns and orbits", SWIM),
+    "around-ball": Entry(E + "navigation.around_ball", "robots cross, locate a ball, and are aided by it", SWIM),
+    "pursuit": Entry(E + "navigation.pursuit", "robots follow what they are told of, and search", SWIM),
+    "hold": Entry(B + "swim.bench_hold", "a robot holds its place by rendered frames", SWIM, ("agent/fleets",)),
+    "gyro": Entry(B + "swim.bench_gyro", "yaw held against a pull, with a gyro and without", SWIM),
+    "body": Entry(B + "swim.bench_body", "mass, inertia and drag of a robot from a trial", SWIM),
+    "following": Entry(E + "following", "a target that swims: robots that share, are silent, are moored", FISH),
+    "bearings": Entry(B + "swim.bench_bearings", "a fish by bearings alone", FISH),
+    "creature": Entry(B + "swim.bench_creature", "a fish found in rendered frames", FISH),
+    "lighting": Entry(E + "lighting", "lamps lent in the dark: own, all, one set, the rule, the optimum", LIGHT),
+    "veil": Entry(S + "veil.claim", "a lamp's veil in twin and kernel, against Monte Carlo", LIGHT),
+    "night": Entry(B + "light.bench_night", "robots find a ball by each other's light", LIGHT, ("agent/fleets",)),
+    "leases": Entry(B + "light.bench_leases", "no sweep counts in which a lamp changed", LIGHT),
+    "keyframes": Entry(B + "light.bench_keyframes", "keyframes of a survey by lent light", LIGHT, ("agent/fleets",)),
+    "calibration": Entry(E + "calibration", "range against focus position, on the bench", FOCUS),
+    "depth": Entry(E + "depth", "depth of whole views from focus: our peak, the paper's", FOCUS),
+    "consistency": Entry(E + "consistency", "whether measurements are as wrong as they say", FOCUS),
+    "peak-shift": Entry(E + "peak_shift", "how far enhancement moves the focus peak", FOCUS),
+    "depth-map": Entry(B + "pictures.bench_depth_map", "depth maps of stacks, in truth and in time", FOCUS),
+    "edges": Entry(B + "pictures.bench_edges", "blocks astride an edge in depth", FOCUS),
+    "detection": Entry(E + "detection", "whether the ball is found, sharp or not, raw or enhanced", PICTURES),
+    "detection-pictures": Entry(E + "detection_pictures", "balls found in pictures with a truth.csv", PICTURES),
+    "eyes": Entry(B + "pictures.bench_eyes", "balls in real pictures, as other cameras would take them", PICTURES),
+    "warm": Entry(B + "pictures.bench_warm", "warm colours stay warm when enhanced", PICTURES),
+    "track-loss": Entry(B + "pictures.bench_track_loss", "lost is said while a thing in a box is away", PICTURES),
+    "landmarks": Entry(B + "bench_landmarks", "corners of tags, and what finding them takes", PICTURES),
+    "film-of-tags": Entry(B + "bench_survey", "places of a tank's tags from a film of them", PICTURES),
+    "coverage": Entry(E + "reconstruction.coverage", "keyframes that robots need which share what they saw", SCENE),
+    "survey": Entry(E + "reconstruction.survey", "what three robots that swim know of a floor", SCENE),
+    "scenes": Entry(E + "reconstruction.scenes", "surfaces and pictures of scenes from focus sweeps", SCENE),
+    "size": Entry(E + "reconstruction.size", "time and memory against the size of a survey", SCENE),
+    "orientation": Entry(E + "orientation", "push and depth step under three control laws", BODY),
+    "board": Entry(B + "bench_board", "what a control cycle takes on the board", BODY, ("hw/firmware",)),
+    "firmware": Entry(
+        B + "bench_firmware", "what the firmware's parts take, by the interpreter", BODY, ("hw/firmware",)
+    ),
+    "clock": Entry(B + "bench_clock", "how fast a dive in the twin goes", BODY),
+    "swarm": Entry(B + "bench_swarm", "twenty agents on one machine; a partition heals", NETWORK),
+    "orders": Entry(B + "network.bench_orders", "a person stops three robots, of which one hangs", NETWORK),
+    "fleets": Entry(B + "network.bench_fleets", "one recorder for ten fleets", NETWORK),
+    "page": Entry(B + "network.bench_page", "a page in a browser of five robots", NETWORK),
+    "firewall": Entry(B + "network.bench_firewall", "a link while a stranger opens connections", NETWORK),
+    "hosts": Entry(B + "network.bench_hosts", "a certificate runs out in the dive", NETWORK),
+    "access": Entry(B + "network.bench_access", "what TLS and signatures cost a link", NETWORK),
+    "mavproxy": Entry(B + "network.bench_mavproxy", "a ground station that others wrote", NETWORK),
+    "estimation": Entry(B + "bench_estimation", "what agreement takes", COST),
+    "vision": Entry(B + "bench_vision", "what perception and the peak fit take", COST),
+    "enhance": Entry(B + "bench_enhance", "what enhancement of a frame takes", COST),
+    "track": Entry(B + "bench_track", "what tracking a box takes", COST),
+    "recording": Entry(B + "bench_recording", "what recording takes", COST),
+    "replay": Entry(B + "bench_replay", "how fast a dive is replayed", COST),
+    "signing": Entry(B + "bench_signing", "what signatures of messages take", COST),
+    "physics": Entry(B + "bench_physics", "what the twin's bodies take", COST),
+    "optics": Entry(B + "bench_optics", "what the twin's pictures take", COST),
+    "preview": Entry(B + "bench_preview", "what previews take", COST),
+    "extras": Entry(B + "bench_extras", "what the extras take", COST),
+}
+
+
+def load(module: str) -> Claim:
+    """The claim of a module. Raises ConfigError where it is not there, or what it needs is not installed."""
+    if path_of(module) is None:
+        raise ConfigError(f"{module}: is not installed; run this experiment in a checkout of the repository")
+    if module.startswith("tests.") and str(ROOT) not in sys.path:
+        sys.path.append(str(ROOT))
+    try:
+        claim: Claim = import_module(module).CLAIM
+    except ModuleNotFoundError as error:
+        raise ConfigError(f"{module}: needs {error.name}; pip install 'aucamp[test]'") from None
+    return claim
+
+
+def code_of(name: str) -> str:
+    """Hash of what a claim measures, in the state of today."""
+    return code_hash(CLAIMS[name].module, CLAIMS[name].also)

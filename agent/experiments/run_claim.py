@@ -1,0 +1,239 @@
+"""Run a claim for many seeds: side by side on this machine's cores, or on a cluster; cut off, it goes on where it was.
+
+A piece of work is one case with one seed. Its rows are a line of `finished.jsonl` as soon as they are there. When all
+are, `rows.json` has them in order and `result.json` the figures: the same bytes, however often the run was cut, and
+on whatever it ran.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import fcntl
+import json
+import multiprocessing
+import os
+from collections.abc import Generator, Mapping, Sequence
+from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from threading import Thread
+from typing import IO, Any, NamedTuple
+
+import msgspec
+
+from agent.clock import machine
+from agent.core.config import ConfigError
+from agent.experiments.claim import Claim, Row
+from agent.experiments.code_state import code_hash
+from agent.experiments.registry import Entry, load
+from agent.process.command import Failed, Progress
+
+PLAN, FINISHED, ROWS = "plan.json", "finished.jsonl", "rows.json"
+TIMED_OUT_S = 30.0  # until a scheduler answers
+
+
+class Plan(NamedTuple):
+    """What is asked for. The folder of a run belongs to one claim, its settings and the code (`of`); more seeds and
+    cases may join it."""
+
+    name: str
+    entry: Entry  # where the claim is
+    code: str  # hash of what is measured (code_state.py)
+    settings: msgspec.Struct
+    cases: tuple[str, ...]
+    seeds: range
+
+    @property
+    def of(self) -> dict[str, Any]:
+        return {"claim": self.name, "code": self.code, "settings": msgspec.to_builtins(self.settings)}
+
+    @property
+    def pieces(self) -> list[tuple[str, int]]:
+        return [(case, seed) for seed in self.seeds for case in self.cases]
+
+
+class Found(NamedTuple):
+    """Rows by case and seed, and what they took."""
+
+    rows: dict[str, dict[int, list[Row]]]
+    seconds_a_seed: float  # of one process, all cases together
+    kept: int  # pieces that were on the disk before
+
+
+def run_plan(
+    plan: Plan, folder: Path, jobs: int | None, scheduler: str | None, progress: Progress, claim: Claim
+) -> Found:
+    """Run what is not on the disk yet. Progress counts pieces.
+
+    Raises ConfigError for a folder of something else, a scheduler that does not answer, and jobs for a claim that runs
+    alone; Failed, or what the claim raises, where a seed fails: what has finished stays.
+    """
+    if claim.alone and (scheduler is not None or (jobs or 1) > 1):
+        raise ConfigError(
+            f"experiment {plan.name}: runs alone, for it times the machine; leave --jobs, --scheduler out"
+        )
+    begin(plan, folder)
+    wanted = plan.pieces
+    with (folder / FINISHED).open("a", encoding="utf-8") as file, contextlib.ExitStack() as stack:
+        lock(file, folder)
+        finished = read_finished(folder / FINISHED)
+        missing = [piece for piece in wanted if piece not in finished]
+        done = len(wanted) - len(missing)
+        progress(done, len(wanted))
+        if claim.alone:
+            results = on_this_process(plan, missing)
+        elif scheduler is not None:
+            results = stack.enter_context(contextlib.closing(on_cluster(plan, missing, scheduler)))
+        else:
+            results = stack.enter_context(contextlib.closing(on_processes(plan, missing, jobs or os.cpu_count() or 1)))
+        for piece, line in results:
+            write_line(file, line)
+            finished[piece] = json.loads(line)
+            done += 1
+            progress(done, len(wanted))
+    rows = {case: {seed: finished[case, seed]["rows"] for seed in plan.seeds} for case in plan.cases}
+    seconds = sum(finished[piece]["seconds"] for piece in wanted) / len(plan.seeds)
+    write_whole(folder / ROWS, json.dumps(rows, indent=1) + "\n")
+    return Found(rows, seconds, len(wanted) - len(missing))
+
+
+# --- a piece of work, in whatever process ---
+
+
+def work(module: str, settings: Mapping[str, Any], case: str, seed: int) -> str:
+    """One line of finished.jsonl."""
+    claim = load(module)
+    start_s = machine.stopwatch_s()
+    try:
+        rows = claim.run(seed, case, msgspec.convert(settings, claim.settings))
+    except Failed as error:
+        raise Failed(f"{case}, seed {seed}: {error}") from error
+    seconds = round(machine.stopwatch_s() - start_s, 3)
+    # Rows that are no plain JSON, an infinity, a NaN, an array, are the claim's mistake: TypeError or ValueError.
+    return json.dumps({"case": case, "seed": seed, "seconds": seconds, "rows": rows}, allow_nan=False) + "\n"
+
+
+Results = Generator[tuple[tuple[str, int], str]]
+
+
+def arguments(plan: Plan, piece: tuple[str, int]) -> tuple[str, dict[str, Any], str, int]:
+    return plan.entry.module, msgspec.to_builtins(plan.settings), *piece
+
+
+def on_this_process(plan: Plan, pieces: Sequence[tuple[str, int]]) -> Results:
+    for piece in pieces:
+        yield piece, work(*arguments(plan, piece))
+
+
+def on_processes(plan: Plan, pieces: Sequence[tuple[str, int]], jobs: int) -> Results:
+    """Spawned, for a fork would copy the progress bar's thread in mid-step."""
+    pool = ProcessPoolExecutor(
+        min(jobs, max(len(pieces), 1)), mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent
+    )
+    try:
+        futures: dict[Future[str], tuple[str, int]] = {
+            pool.submit(work, *arguments(plan, piece)): piece for piece in pieces
+        }
+        for future in as_completed(futures):
+            yield futures[future], future.result()
+    except BrokenProcessPool:
+        raise Failed(
+            f"experiment {plan.name}: a process of it was ended from outside, as when memory is short; "
+            "what has finished is kept, and the same command goes on; fewer --jobs need less memory"
+        ) from None
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def end_with_parent() -> None:
+    """A worker waits for work for ever, unless it looks for the process that gives it."""
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    Thread(target=watch, name="parent watch", daemon=True).start()
+
+
+def on_cluster(plan: Plan, pieces: Sequence[tuple[str, int]], scheduler: str) -> Results:
+    """On the workers of a Dask scheduler, each of which has this same code installed."""
+    try:
+        import distributed
+    except ImportError:
+        raise ConfigError("--scheduler: needs the extra `cluster`: pip install 'aucamp[cluster]'") from None
+    try:
+        client = distributed.Client(scheduler, timeout=TIMED_OUT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+    except (OSError, ValueError, TimeoutError) as error:
+        raise ConfigError(f"--scheduler {scheduler}: no scheduler answers there ({error})") from None
+    with client:
+        theirs = client.submit(code_hash, plan.entry.module, plan.entry.also, pure=False)
+        if theirs.result() != plan.code:
+            raise ConfigError(f"--scheduler {scheduler}: its workers have another state of the code; install this one")
+        futures = {client.submit(work, *arguments(plan, piece), pure=False): piece for piece in pieces}
+        try:
+            for future in distributed.as_completed(list(futures), loop=client.loop):  # type: ignore[no-untyped-call]
+                yield futures[future], future.result()
+                future.release()
+        except (distributed.KilledWorker, distributed.client.FutureCancelledError) as error:
+            raise Failed(
+                f"experiment {plan.name}: the cluster lost a seed ({error}); the same command goes on"
+            ) from None
+
+
+# --- the folder ---
+
+
+def begin(plan: Plan, folder: Path) -> None:
+    """Make the folder, or see that it is this plan's. Raises ConfigError."""
+    path = folder / PLAN
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not path.exists():
+            if any(folder.iterdir()):
+                raise ConfigError(f"{folder}: not empty, and nothing is overwritten; give --out a new folder")
+            write_whole(path, json.dumps(plan.of, indent=1) + "\n")
+        known = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ConfigError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
+    except json.JSONDecodeError:
+        raise ConfigError(f"{path}: is no plan of a run; give --out a new folder") from None
+    for key, words in (("claim", "claim"), ("settings", "settings"), ("code", "state of the code")):
+        if known.get(key) != plan.of[key]:
+            raise ConfigError(f"{folder}: holds seeds of another {words}; give --out a new folder")
+
+
+def lock(file: IO[str], folder: Path) -> None:
+    """For as long as the file is open. Raises ConfigError where another run has it."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        raise ConfigError(f"{folder}: another run writes there; wait for it, or give --out another folder") from None
+
+
+def read_finished(path: Path) -> dict[tuple[str, int], dict[str, Any]]:
+    """What has finished, by case and seed. A last line that was cut off is taken away: its seed runs again."""
+    content = path.read_bytes()
+    whole = content[: content.rfind(b"\n") + 1]
+    if len(whole) < len(content):
+        os.truncate(path, len(whole))
+    try:
+        lines = [json.loads(line) for line in whole.splitlines()]
+        return {(line["case"], line["seed"]): line for line in lines}
+    except (json.JSONDecodeError, KeyError, TypeError):
+        raise ConfigError(f"{path}: holds a line that no run wrote; give --out a new folder") from None
+
+
+def write_line(file: IO[str], line: str) -> None:
+    """It is on the disk when this returns."""
+    file.write(line)
+    file.flush()
+    os.fsync(file.fileno())
+
+
+def write_whole(path: Path, text: str) -> None:
+    """All of it or nothing."""
+    part = path.with_name(f".{path.name}.part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)

@@ -1,0 +1,126 @@
+"""How sure a figure is: intervals against what they promise, verdicts, and that every claim of the table can be run."""
+
+import math
+
+import msgspec
+import numpy as np
+import pytest
+
+from agent.experiments.claim import (
+    LEVEL,
+    Figure,
+    Measured,
+    Quantile,
+    Share,
+    interval,
+    measure,
+    of_quantile,
+    of_share,
+    percentile,
+    verdict,
+)
+from agent.experiments.code_state import ROOT, path_of
+from agent.experiments.registry import CLAIMS, load
+from tests.experiments import dice
+
+INF = math.inf
+
+
+def covered(draw, truth: float, trials: int = 400) -> float:
+    """Share of the intervals of drawn data that hold the truth."""
+    rng = np.random.default_rng(7)
+    return sum(low <= truth <= high for low, high in (draw(rng) for _ in range(trials))) / trials
+
+
+def test_the_interval_of_a_share_is_clopper_and_pearson_s() -> None:
+    found = of_share(Share(20, 20), 100.0)
+    assert found.value == found.high == 100.0 and found.low == pytest.approx(100.0 * 0.05 ** (1 / 20))
+    assert covered(lambda rng: of_share(Share(int(rng.binomial(20, 0.9)), 20))[1:3], 0.9) >= LEVEL
+    assert of_share(Share(0, 0)) == Measured(INF, -INF, INF, 0)
+
+
+def test_the_interval_of_a_quantile_holds_it_as_often_as_it_says() -> None:
+    """A bootstrap's does not: it knows no value beyond the largest."""
+
+    def ordered(rng):
+        return of_quantile(Quantile(rng.exponential(size=60).tolist(), 95.0))[1:3]
+
+    def bootstrapped(rng):
+        values = rng.exponential(size=20)
+        return interval([percentile(rng.choice(values, 20).tolist(), 95.0) for _ in range(200)])
+
+    assert covered(ordered, -math.log(0.05)) >= LEVEL - 0.03
+    assert covered(bootstrapped, -math.log(0.05)) < 0.8
+    assert of_quantile(Quantile([1.0] * 58, 95.0)).high == INF, "of 58 nobody can say what 95 % keep"
+    assert of_quantile(Quantile([1.0] * 59, 95.0)).high == 1.0
+    assert of_quantile(Quantile([1.0, None, 2.0], 50.0)).value == 2.0
+
+
+def test_the_bootstrap_draws_whole_seeds() -> None:
+    """Rows of one seed are alike, so many rows do not make a figure surer."""
+    claim = dice.CLAIM._replace(summary=lambda rows: {"mean": float(np.mean([row["eyes"] for row in rows["one"]]))})
+    rng = np.random.default_rng(3)
+    few = {seed: [{"eyes": value}] for seed, value in enumerate(rng.normal(3.5, 1.0, 20))}
+    many = {seed: rows * 50 for seed, rows in few.items()}
+    assert measure(claim, {"one": few})["mean"] == pytest.approx(measure(claim, {"one": many})["mean"])
+    found = measure(claim, {"one": few})["mean"]
+    assert found.n == 20 and found.high - found.low == pytest.approx(2 * 1.645 / math.sqrt(20), rel=0.35)
+    alone = measure(claim, {"one": {0: few[0]}})["mean"]
+    assert (alone.low, alone.high) == (-INF, INF), "one seed says nothing of the next"
+    assert measure(claim._replace(exact=True), {"one": {0: few[0]}})["mean"].low == alone.value
+
+
+def test_a_ratio_of_two_cases_is_one_of_the_same_seeds() -> None:
+    def ratio(rows):
+        return {"mean": sum(r["x"] for r in rows["a"]) / sum(r["x"] for r in rows["b"])}
+
+    rng = np.random.default_rng(1)
+    worlds = rng.uniform(1.0, 10.0, 20)
+    found = {
+        "a": {k: [{"x": 2.0 * w}] for k, w in enumerate(worlds)},
+        "b": {k: [{"x": w}] for k, w in enumerate(worlds)},
+    }
+    measured = measure(dice.CLAIM._replace(summary=ratio), found)["mean"]
+    assert measured.low == pytest.approx(2.0) and measured.high == pytest.approx(2.0)
+
+
+MOST, LEAST, BAND = Figure("x", "x", most=2.0), Figure("x", "x", least=2.0), Figure("x", "x", least=1.0, most=2.0)
+
+
+@pytest.mark.parametrize(
+    ("figure", "measured", "expected"),
+    [
+        (MOST, (1.0, 0.5, 1.5), "met"),
+        (MOST, (1.0, 0.5, 2.5), "not shown"),
+        (MOST, (3.0, 2.5, INF), "missed"),
+        (MOST, (1.0, -INF, INF), "not shown"),
+        (MOST, (INF, 1.0, INF), "not shown"),
+        (MOST, (INF, INF, INF), "missed"),
+        (LEAST, (3.0, 2.0, 4.0), "met"),
+        (LEAST, (1.0, 0.5, 1.5), "missed"),
+        (LEAST, (-INF, -INF, -INF), "missed"),
+        (LEAST, (3.0, -INF, 4.0), "not shown"),
+        (BAND, (1.5, 1.2, 1.8), "met"),
+        (BAND, (0.79, 0.56, 1.0), "not shown"),
+        (BAND, (0.5, 0.4, 0.9), "missed"),
+        (BAND, (2.5, 2.1, 3.0), "missed"),
+        (Figure("x", "x"), (1.0, 0.5, 1.5), ""),
+    ],
+)
+def test_a_target_is_met_missed_or_not_shown(figure: Figure, measured: tuple, expected: str) -> None:
+    assert verdict(figure, Measured(*measured, n=20)) == expected
+
+
+@pytest.mark.parametrize("name", CLAIMS)
+def test_a_claim_of_the_table_can_be_run_and_told(name: str) -> None:
+    """What claim.py asks of each; that it measures what it says is a test of its own."""
+    entry = CLAIMS[name]
+    assert path_of(entry.module) is not None and all((ROOT / path).exists() for path in entry.also)
+    claim = load(entry.module)
+    settings = claim.settings()
+    assert msgspec.convert(msgspec.to_builtins(settings), claim.settings) == settings, "they go to other processes"
+    msgspec.convert(dict(claim.quick), claim.settings, strict=False)
+    keys = [figure.key for figure in claim.figures]
+    assert keys and len(set(keys)) == len(keys) and claim.cases and claim.explanation.strip()
+    assert set(claim.by_default or ()) <= set(claim.cases) and claim.seeds >= 1
+    assert claim.run.__module__ == claim.summary.__module__ == entry.module, "a function of its own, found by its name"

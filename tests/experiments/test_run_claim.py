@@ -1,0 +1,126 @@
+"""Seeds on processes and on a cluster: the same bytes, also of a run that was killed again and again."""
+
+import json
+import random
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from agent.core.config import ConfigError
+from agent.experiments.run_claim import FINISHED, ROWS, read_finished, run_plan
+from tests.experiments import dice
+from tests.places import ROOT
+from tests.waiting import until
+
+distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
+
+PURE = (ROWS, "result.json")
+KILLS = 10
+
+
+def content(folder: Path) -> list[bytes]:
+    return [(folder / name).read_bytes() for name in PURE]
+
+
+@pytest.fixture(scope="module")
+def undisturbed(tmp_path_factory: pytest.TempPathFactory) -> list[bytes]:
+    folder = tmp_path_factory.mktemp("whole") / "run"
+    dice.throw(folder)
+    return content(folder)
+
+
+def run_on(plan, folder: Path, **changes):
+    return run_plan(plan, folder, changes.get("jobs", 1), changes.get("scheduler"), lambda *_: None, dice.CLAIM)
+
+
+@pytest.mark.slow
+def test_a_run_that_is_killed_and_goes_on_writes_the_same_bytes(tmp_path: Path, undisturbed: list[bytes]) -> None:
+    folder, chance = tmp_path / "run", random.Random(3)
+    command = [sys.executable, "-m", "tests.experiments.dice", str(folder), "0.15"]
+    counts = []
+    for _ in range(KILLS):
+        one = subprocess.Popen(command, cwd=ROOT)
+        kill_after(one, folder, (counts[-1] if counts else 0) + chance.randrange(6))
+        counts.append(lines(folder))
+    assert counts == sorted(counts) and 0 < counts[0] < counts[-1] < 80
+    with (folder / FINISHED).open("a") as file:
+        file.write('{"case": "one", "se')  # as a kill in the middle of a line leaves it
+    assert subprocess.run(command, cwd=ROOT, check=False).returncode == 0
+    rows, result = content(folder)
+    assert rows == undisturbed[0]
+    assert json.loads(result)["figures"] == json.loads(undisturbed[1])["figures"]
+    until(lambda: not workers(folder), 10.0)
+
+
+def kill_after(one: subprocess.Popen, folder: Path, count: int) -> None:
+    """At a random moment of the work: so many lines are there, or the next one is being written."""
+    until(lambda: lines(folder) > count or one.poll() is not None, 60.0)
+    one.send_signal(signal.SIGKILL)
+    assert one.wait() == -signal.SIGKILL, "it came to its end before it was killed"
+
+
+def lines(folder: Path) -> int:
+    path = folder / FINISHED
+    return path.read_bytes().count(b"\n") if path.exists() else 0
+
+
+def workers(folder: Path) -> list[str]:
+    """Processes that still write or work for this folder."""
+    found = subprocess.run(["pgrep", "-f", str(folder)], capture_output=True, text=True, check=False)
+    return found.stdout.split()
+
+
+@pytest.mark.slow
+def test_a_cluster_of_two_workers_and_processes_write_the_same_bytes(tmp_path: Path, undisturbed: list[bytes]) -> None:
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, host="127.0.0.1", dashboard_address=None, silence_logs=50
+    ) as cluster:
+        dice.throw(tmp_path / "run", scheduler=cluster.scheduler_address)
+    assert content(tmp_path / "run") == undisturbed
+
+
+def test_more_seeds_join_a_run_and_what_is_there_is_not_run_again(tmp_path: Path) -> None:
+    assert run_on(dice.plan(seeds=3), tmp_path).kept == 0
+    found = run_on(dice.plan(seeds=5), tmp_path)
+    assert found.kept == 6 and sorted(found.rows["one"]) == [0, 1, 2, 3, 4]
+    assert len(read_finished(tmp_path / FINISHED)) == 10
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
+    run_on(dice.plan(seeds=1), tmp_path / "run")
+    with pytest.raises(ConfigError, match="holds seeds of another state of the code; give --out a new folder"):
+        run_on(dice.plan(seeds=1, code="y"), tmp_path / "run")
+    with pytest.raises(ConfigError, match="holds seeds of another settings"):
+        run_on(dice.plan(seeds=1, seconds=0.1), tmp_path / "run")
+    (tmp_path / "full").mkdir()
+    (tmp_path / "full" / "thesis.tex").touch()
+    with pytest.raises(ConfigError, match="not empty, and nothing is overwritten"):
+        run_on(dice.plan(seeds=1), tmp_path / "full")
+    (tmp_path / "run" / FINISHED).write_text('{"eyes": 3}\n')
+    with pytest.raises(ConfigError, match="holds a line that no run wrote"):
+        run_on(dice.plan(seeds=1), tmp_path / "run")
+
+
+def test_two_runs_do_not_write_into_one_folder(tmp_path: Path) -> None:
+    run_on(dice.plan(seeds=1), tmp_path)
+    with (tmp_path / FINISHED).open("a") as file:
+        from agent.experiments.run_claim import lock
+
+        lock(file, tmp_path)
+        with pytest.raises(ConfigError, match="another run writes there"):
+            run_on(dice.plan(seeds=2), tmp_path)
+
+
+def test_a_scheduler_that_is_not_there_is_one_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("agent.experiments.run_claim.TIMED_OUT_S", 0.5)
+    with pytest.raises(ConfigError, match=r"--scheduler tcp://127\.0\.0\.1:9: no scheduler answers there"):
+        run_on(dice.plan(seeds=1), tmp_path, scheduler="tcp://127.0.0.1:9")
+
+
+def test_a_claim_that_times_the_machine_runs_alone(tmp_path: Path) -> None:
+    alone = dice.CLAIM._replace(alone=True)
+    with pytest.raises(ConfigError, match="runs alone, for it times the machine"):
+        run_plan(dice.plan(seeds=1), tmp_path, 2, None, lambda *_: None, alone)
