@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import shlex
-import sys
 from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
@@ -124,8 +123,7 @@ def run(plan: Plan, claim: Claim, out: Path | None, jobs: int | None, scheduler:
     what = f"{plan.name}: cases and seeds"
     found = with_bar(console, what, lambda show: run_plan(plan, folder, jobs, scheduler, show, claim))
     result = result_of(plan, claim, measure(claim, found.rows))
-    command = " ".join(["aucamp", *map(shlex.quote, sys.argv[1:])])
-    write_result(result, run_of(plan, command, found.seconds_a_seed, quick), folder)
+    write_result(result, run_of(plan, command_of(plan, claim), found.seconds_a_seed, quick), folder)
     console.print(table(result.figures, f"{plan.name}: {CLAIMS[plan.name].about} ({claim.measured_on})"))
     if found.kept:
         console.print(
@@ -137,6 +135,20 @@ def run(plan: Plan, claim: Claim, out: Path | None, jobs: int | None, scheduler:
         return 0
     verdicts = {told.verdict for told in result.figures}
     return MISSED if "missed" in verdicts else NOT_SHOWN if "not shown" in verdicts else 0
+
+
+def command_of(plan: Plan, claim: Claim) -> str:
+    """What measures the same again, on any machine."""
+    words = ["aucamp", "experiment", plan.name]
+    if plan.cases != (claim.by_default or claim.cases):
+        words += [word for case in plan.cases for word in ("--only", case)]
+    usual = msgspec.to_builtins(claim.settings())
+    changed = {key: value for key, value in msgspec.to_builtins(plan.settings).items() if value != usual[key]}
+    for key, value in changed.items():
+        told = ",".join(map(str, value)) if isinstance(value, list | tuple) else str(value)
+        words += ["--set", shlex.quote(f"{key}={told}")]
+    words += [] if claim.exact else ["--seed", str(plan.seeds[0]), "--seeds", str(len(plan.seeds))]
+    return " ".join(words)
 
 
 def folder_of(plan: Plan) -> Path:

@@ -26,24 +26,22 @@ from agent.core.messages import Vector
 from agent.core.ranging.camera_model import (
     Calibration,
     Eye,
-    at_lens_position,
     camera_pose,
     gimbal_deg,
     look_at,
-    pixel,
     servos_us,
-    to_camera,
 )
 from agent.core.ranging.fix import NoRange, distance, locate
 from agent.core.ranging.sweep import Measurement, Sweep
 from agent.core.step_io import SetPoint, Sighting, Telemetry
-from agent.experiments.experiment import DEFAULT_SENSOR, Row
+from agent.experiments.claim import Row
 from agent.perception.clarity import around
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import HOMING_S, Vision
 from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
-from agent.tools.bench_calibration import BACKLASH_US, calibrate
+from agent.tools.bench_calibration import BACKLASH_US, calibrate, focus_rows
+from agent.tools.focus_calibration import FocusRow
 from hw.camera.camera import PATIENCE_S, CameraError, FocusRange, Frame, Roi, deliverable
 from hw.stm32.protocol import HostProtocol
 from hw.twin.board import Board
@@ -81,6 +79,10 @@ class PosedRobot:
     def calibrate(self) -> Calibration:
         """The bench's whole procedure. Raises CalibrationRefused."""
         return calibrate(self._fleet, self._name, self, self._bench.place, lambda done, total: None)
+
+    def focus_rows(self) -> list[FocusRow]:
+        """Its first part: the sharpest lens position at each distance."""
+        return focus_rows(self._fleet, self, self._bench.place, lambda done, total: None)
 
     def submerge(self, water: WaterKind, solids: tuple[Solid, ...], tags: Sequence[PaintedTag] = ()) -> None:
         """Hours later, in this kind of water, before these solids and tags alone."""
@@ -153,7 +155,6 @@ CLEAR_M = 0.10  # from a wall to the middle of a robot
 CORNER_M = (0.20, 0.40)  # from two walls to the ball
 HEIGHT_M = (0.09, 0.30)  # of the camera
 PAN_DEG = 60.0
-OUTLINE = 360  # points on the ball's outline
 
 
 class Placement(NamedTuple):
@@ -166,10 +167,8 @@ class Placement(NamedTuple):
     level: Vector  # depth_m, roll_deg, pitch_deg as measured
 
 
-def ball_measurements(
-    seed: int, count: int, sensor: str = DEFAULT_SENSOR, distance_m: float | None = None
-) -> Iterator[Row]:
-    """One robot, calibrated on its bench, then at `count` places around its ball, at one distance or at any.
+def ball_measurements(seed: int, count: int, sensor: str) -> Iterator[Row]:
+    """One robot, calibrated on its bench, then at `count` places around its ball.
 
     Yields a row for each place: what `errors` says of each of the cues. Raises CalibrationRefused.
     """
@@ -187,15 +186,10 @@ def ball_measurements(
     robot.submerge(WATERS[seed % len(WATERS)], (Solid(kind="ball", position_m=ball_m, radii_m=(radius_m,) * 3),))
     vision = Vision(_no_camera, fleet, known.camera, load_detectors(fleet, known.camera), StandingClock())
     for _ in range(count):
-        reach_m = float(rng.uniform(*RANGE_M)) if distance_m is None else distance_m
-        placement = draw_placement(fleet, ball_m, reach_m, rng)
+        placement = draw_placement(fleet, ball_m, float(rng.uniform(*RANGE_M)), rng)
         eye = place_robot(robot, fleet, known, placement, ball_m, rng)
         found = sweep_ball(robot, vision, fleet, name, known)
-        if isinstance(found, NoRange) and found.reason.startswith("target seen"):
-            arc_deg = outline_deg(known, eye, ball_m)
-            if arc_deg < 360.0:
-                found = NoRange(f"ball larger than the frame, {arc_deg:.0f} deg of its outline show: {found.reason}")
-        row: Row = {"seed": seed, "distance_m": placement.distance_m}
+        row: Row = {"distance_m": placement.distance_m}
         for cue in get_args(Cues):
             row[cue] = errors(found, eye, known, target, cue, ball_m, placement.distance_m)
         yield row
@@ -257,26 +251,6 @@ def sweep_ball(
             first = seen
     result = state.finish(10**12)
     return result if isinstance(result, Measurement) else NoRange(result.reason if result else "unfinished")
-
-
-def outline_deg(known: Calibration, eye: Eye, ball_m: Vector) -> float:
-    """How much of the ball's outline a frame shows that is taken with the lens at its nearest position.
-
-    The picture is largest there: a ball that is whole at the far end of a sweep may overflow at the near end.
-    """
-    camera = at_lens_position(known.camera, known.focus.highest if known.focus.b_m > 0.0 else known.focus.lowest)
-    x, y, z = to_camera(eye, ball_m)
-    z -= camera.ahead_m
-    d = math.sqrt(x * x + y * y + z * z)
-    axis, radius_m = np.array((x, y, z)) / d, ball_m[2]  # it lies on the floor
-    theta = math.asin(min(radius_m / d, 1.0))
-    side = np.cross(axis, (0.0, 1.0, 0.0))
-    side /= np.linalg.norm(side)
-    phi = np.linspace(0.0, 2.0 * math.pi, OUTLINE, endpoint=False)[:, None]
-    ring = math.cos(theta) * axis + math.sin(theta) * (np.cos(phi) * side + np.sin(phi) * np.cross(axis, side))
-    seen = [pixel(camera, (a, b, c + camera.ahead_m)) for a, b, c in ring.tolist()]
-    inside = [px and 0.0 <= px[0] <= camera.width_px - 1 and 0.0 <= px[1] <= camera.height_px - 1 for px in seen]
-    return 360.0 * sum(map(bool, inside)) / OUTLINE
 
 
 def errors(

@@ -8,7 +8,7 @@ seconds: it sees neither target nor tags.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple, get_args
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
@@ -20,7 +20,6 @@ from agent.core.config import Body, Fleet, Follow, Limits, Look, Navigation, Pos
 from agent.core.estimation.protocols import dynamics
 from agent.core.messages import Estimate, Message, Vector
 from agent.core.ranging.camera_model import CameraFit, camera_pose, look_at, pixel
-from agent.experiments.experiment import FollowingPolicy
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import twin_bodies
 from agent.experiments.navigation.pursuit import Wanderer
@@ -43,11 +42,8 @@ from hw.twin.scene import Creature, generator
 # --- cases ---
 
 LENGTH_M = 0.15  # of the fish
-SPEEDS_M_S = (0.10, 0.15, 0.20)  # of the target
-LOSSES = (0.0, 0.3)  # share of all words
-SIZES = (1, 2, 3, 5)  # robots
-POLICIES: tuple[FollowingPolicy, ...] = get_args(FollowingPolicy)
-FLEET = 3  # of the silent and the moored, and the size that has to meet the targets
+
+Policy = Literal["share", "silent", "moored"]
 
 
 class Case(NamedTuple):
@@ -57,22 +53,9 @@ class Case(NamedTuple):
     they share, and stay where they are put.
     """
 
-    policy: FollowingPolicy
+    policy: Policy
     robots: int
-    loss: float
-    speed_m_s: float
-
-
-def all_cases(only: FollowingPolicy | None = None, robots: int | None = None) -> tuple[Case, ...]:
-    """All, or those of one policy, or of a fleet of that size; words that no robot says cannot be lost."""
-    cases = [
-        Case(policy, size, loss, speed_m_s)
-        for policy in POLICIES
-        for size in (SIZES if policy == "share" else (FLEET,))
-        for loss in (LOSSES if policy == "share" and size > 1 else LOSSES[:1])
-        for speed_m_s in SPEEDS_M_S
-    ]
-    return tuple(case for case in cases if only in (None, case.policy) and robots in (None, case.robots))
+    loss: float = 0.0  # share of all words
 
 
 # --- basin: the fleet, where it begins, and weeds that hide its target ---
@@ -83,7 +66,7 @@ WEEDS, WEED_M, WALL_M, APART_M = 2, 0.08, 0.5, 0.8  # how many, their radius; fr
 ROW_M = 0.45, 1.55  # from the long wall at which all begin
 
 
-def fleet_of(case: Case, seed: int) -> Fleet:
+def fleet_of(case: Case, speed_m_s: float, seed: int) -> Fleet:
     """All of them know how fast the target swims, and how long it is."""
     names = [f"r{i + 1}" for i in range(case.robots)]
     robots = {
@@ -96,7 +79,7 @@ def fleet_of(case: Case, seed: int) -> Fleet:
         )
         for name, pose in zip(names, starts(case, seed), strict=True)
     }
-    fish = Target(detector="creature", length_m=LENGTH_M, speed_m_s=case.speed_m_s, turn_s=basin.TURN_S)
+    fish = Target(detector="creature", length_m=LENGTH_M, speed_m_s=speed_m_s, turn_s=basin.TURN_S)
     fleet = basin.fleet(robots, seed, fish)
     return msgspec.structs.replace(fleet, navigation=Navigation(limits=STILL)) if case.policy == "moored" else fleet
 
@@ -210,8 +193,6 @@ class Draw(NamedTuple):
     """n frames of k robots, from the beginning; `watched` is the first frame that counts."""
 
     t_s: Array  # (n,)
-    target_m: Array  # (n, 3)
-    robots: Array  # (n, k, 3): x, y (m), yaw (rad)
     sees: NDArray[np.bool_]  # (n, k): whether each robot's frame shows it
     in_sight: NDArray[np.bool_]  # (n, k): whether nothing is in between
     in_reach: NDArray[np.bool_]  # (n, k): whether the camera can be turned to it, and it is not too near for a picture
@@ -220,16 +201,15 @@ class Draw(NamedTuple):
     error_m: Array  # (n, k): of where each robot believes it to be now; nan: it does not know
     nees: Array  # (n, k): squared error by its own covariance, 3 where that is right; nan: no track of that time
     watched: int
-    weeds: tuple[Pillar, ...]
-    does: tuple[tuple[str, ...], ...] = ()  # what each robot says that it does, of each frame
+    least_m: float  # of any two robots
 
 
-def dive(case: Case, seed: int, watch_s: float = WATCH_S) -> Draw:
+def dive(case: Case, speed_m_s: float, seed: int, watch_s: float = WATCH_S) -> Draw:
     """Search for FIND_S, then follow for watch_s; at 10 frames a second. Raises Failed where a firmware hangs."""
-    fleet, pillars = fleet_of(case, seed), weeds(seed)
+    fleet, pillars = fleet_of(case, speed_m_s, seed), weeds(seed)
     names, rng = list(fleet.robot), generator(seed, "follow")
     rng.uniform()  # drawn for where they begin
-    wanderer = Wanderer(rng, case.speed_m_s, FIND_S + watch_s, pillars)
+    wanderer = Wanderer(rng, speed_m_s, FIND_S + watch_s, pillars)
     blind = names[seed % case.robots]
     with twin_bodies(fleet) as bodies:
         swimmers = Swimmers(fleet, bodies)
@@ -237,22 +217,20 @@ def dive(case: Case, seed: int, watch_s: float = WATCH_S) -> Draw:
         for name, eyes in swimmers.eyes.items():
             eyes.hide, eyes.pillars = fleet.robot[name].neighbours, pillars
             eyes.ball = DrawnFish(fleet, name, bodies.camera(name), wanderer.at)
-        began_ns, rows, told = bodies.now_ns, list[list[Array]](), list[tuple[str, ...]]()
+        rows, least_m = list[list[Array]](), math.inf
         for step in range(1, round((FIND_S + watch_s) * STEPS_S) + 1):
             at_s = step / STEPS_S - FIND_S
             swimmers.eyes[blind].covered = COVERED_S[0] <= at_s < COVERED_S[1]
             swimmers.step()
             if swimmers.steps % FRAME_STEPS == 0:
                 rows.append(row(swimmers, fleet, wanderer.at(bodies.now_ns), pillars))
-                told.append(tuple(_does(agent) for agent in swimmers.agents.values()))
+                least_m = min(least_m, swimmers.least_apart_m())
     t_s = (1 + np.arange(len(rows))) * FRAME_STEPS / STEPS_S
-    target_m = np.array([wanderer.at(began_ns + round(t * 1e9)) for t in t_s])
     cells = np.array(rows)
-    sees, in_sight, in_reach, covered, landmarks = np.moveaxis(cells[:, :, 3:8].astype(bool), 2, 0)
-    error_m, nees = np.moveaxis(cells[:, :, 8:], 2, 0)
+    sees, in_sight, in_reach, covered, landmarks = np.moveaxis(cells[:, :, :5].astype(bool), 2, 0)
+    error_m, nees = np.moveaxis(cells[:, :, 5:], 2, 0)
     watched = int(np.searchsorted(t_s, FIND_S, side="right"))
-    seen = sees, in_sight, in_reach, covered, landmarks
-    return Draw(t_s, target_m, cells[:, :, :3], *seen, error_m, nees, watched, pillars, tuple(told))
+    return Draw(t_s, sees, in_sight, in_reach, covered, landmarks, error_m, nees, watched, least_m)
 
 
 def row(swimmers: Swimmers, fleet: Fleet, target_m: Vector, pillars: tuple[Pillar, ...]) -> list[Array]:
@@ -268,7 +246,7 @@ def row(swimmers: Swimmers, fleet: Fleet, target_m: Vector, pillars: tuple[Pilla
         flags = newest is not None and newest.found, near and clear and not eyes.covered, reach, eyes.covered
         believed = judged(agent, fleet, target_m, swimmers.now_ns)
         swimmer = swimmer_of(agent.capabilities)
-        found.append(np.array([*place, *flags, swimmer is not None and swimmer.at_landmarks, *believed], float))
+        found.append(np.array([*flags, swimmer is not None and swimmer.at_landmarks, *believed], float))
     return found
 
 
@@ -305,8 +283,3 @@ class Channel:
 
     def loses(self, letter: Message) -> bool:
         return (self._silent and isinstance(letter, Estimate)) or bool(self._loss and self._rng.uniform() < self._loss)
-
-
-def _does(agent: Agent) -> str:
-    swimmer = swimmer_of(agent.capabilities)
-    return "" if swimmer is None else swimmer.does

@@ -106,7 +106,6 @@ class StillCamera:
 
 BLOCK_PX = 50  # the paper's
 GROWTH_M = 0.5  # distance of the wall on which focus breathing is measured
-FLAT = 0.2  # of the range: a block whose depth spreads less, 5 to 95 percent, has one depth that can be called its own
 QUALITY = 0.998  # of a block's peak: leaves out most blocks astride an edge in depth, and few others
 WATER_INDEX = 1.333
 
@@ -126,7 +125,6 @@ class SweptView(NamedTuple):
     images: list[Image]
     growth: float  # of the picture over the sweep, relative
     truth_m: Array  # (rows, cols) harmonic mean of a block's z-depths: blocks are sharp at their mean vergence
-    flat: NDArray[np.bool_]  # (rows, cols)
     pixels_m: NDArray[np.float32]  # (height, width) z-depth of every pixel
 
 
@@ -137,12 +135,8 @@ def sweep_view(camera: StillCamera, view: TankView, growth: float) -> SweptView:
     largest = rho[-1] if growth >= 0 else rho[0]  # blocks are squares in the largest picture
     pixels = camera.truth_m(float(largest))
     rows, cols = (len(grid(size, BLOCK_PX)) - 1 for size in pixels.shape)
-    tiles = pixels[: rows * BLOCK_PX, : cols * BLOCK_PX].reshape(rows, BLOCK_PX, cols, BLOCK_PX)
-    blocks = tiles.transpose(0, 2, 1, 3).reshape(rows, cols, -1).astype(float)
     truth_m = truth_on(pixels, rows, cols, BLOCK_PX)
-    nearest, farthest = np.quantile(blocks, (0.05, 0.95), axis=-1)
-    flat = (farthest - nearest) / truth_m < FLAT
-    return SweptView(view, np.array(rho, float), images, growth, truth_m, flat, pixels.astype(np.float32))
+    return SweptView(view, np.array(rho, float), images, growth, truth_m, pixels.astype(np.float32))
 
 
 def truth_on(pixels_m: NDArray[Any], rows: int, cols: int, side_px: float) -> Array:
@@ -177,7 +171,7 @@ def breathing(camera: StillCamera) -> float:
     camera.view = facing_wall(GROWTH_M)
     growth = measure_growth(sweep(camera))
     if growth is None:
-        raise Failed("the wall's pictures cannot be registered, so focus breathing is unknown; try another --seed")
+        raise Failed("the wall's pictures cannot be registered, so focus breathing is unknown")
     return growth
 
 

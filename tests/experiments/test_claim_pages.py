@@ -93,6 +93,7 @@ def test_a_result_is_kept_by_figure_and_says_when_the_code_has_changed(
     thrown("--seeds", "4", "--only", "another")
     keep([checkout / "run"])
     kept = {one.told.key: one for one in read_kept("dice")}
+    assert kept["other"].run.command == "aucamp experiment dice --only another --seed 0 --seeds 4"
     assert kept["mean"].seeds == (0, 19) and kept["other"].seeds == (0, 3), "of that case alone"
     written = pages.write_pages()
     assert {path.name for path in written} == {"claims.md", "dice.md", "dice.svg"}

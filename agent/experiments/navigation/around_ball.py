@@ -1,76 +1,77 @@
 """Robots around a ball, robots whose ways cross, and robots that rarely see tags and are aided by a ball.
 
-`ball`: three robots hold their places around a ball and say where it is. The bound is the error of `JointFilter`, which
-has every measurement of all of them. `crossing`: how near robots come to each other. `aided`: how much a ball that
-others have located tells a robot of where it is itself.
+`target`: three robots hold their places around a ball and say where it is. The bound is the error of `JointFilter`,
+which has every measurement of all of them. `crossing`: how near robots come to each other. `aided`: how much a ball
+that others have located tells a robot of where it is itself.
 """
 
 from __future__ import annotations
 
 import math
-from collections import deque
-from collections.abc import Callable
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
 
+import msgspec
 import numpy as np
+from msgspec.structs import replace
 
-from agent.capabilities.swim.aided_pose import Aid, Seen, offset_m
-from agent.capabilities.swim.barrier import Reference
-from agent.capabilities.swim.behaviour import wanted_velocity, wrench
-from agent.capabilities.swim.event_ring import Event, EventRing, asked, fix, rate
+from agent.capabilities.swim.barrier import RINGS_M
 from agent.capabilities.swim.localizer import LOST_DEG, LOST_M, within
-from agent.capabilities.swim.pose_filter import RATE_RAD_S, Belief, Drift, Hull, begin
+from agent.capabilities.swim.pose_filter import Belief
 from agent.capabilities.swim.swim import swimmer_of
-from agent.core.config import Goto, Look, Pose
-from agent.core.estimation.evidence_table import Table
-from agent.core.estimation.fuse import fuse
-from agent.core.estimation.interface import Posterior, Prior
-from agent.core.linear_algebra import plus, times, upper, wrap
-from agent.core.messages import Symmetric, Vector
-from agent.core.ranging.fix import Fix, carried, kappa, longest_gap_s
-from agent.experiments.experiment import Row
+from agent.capabilities.swim.swimmer import Swimmer
+from agent.core.config import Fleet, Goto, Look, Navigation, Pose
+from agent.core.linear_algebra import plus, wrap
+from agent.core.messages import Vector
+from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value, rms
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.basin import PULL, TANK, PlanarBodies, PlanarBody, drawn_hull, twin_bodies
-from agent.experiments.navigation.joint_filter import Array, JointFilter, full, joint_filter_of
-from agent.experiments.navigation.swimmers import Notes, Sample, Swimmers
+from agent.experiments.navigation.basin import TANK, PlanarBodies, twin_bodies
+from agent.experiments.navigation.joint_filter import Array, Replayed, full
+from agent.experiments.navigation.swimmers import Swimmers
 from hw.twin.scene import generator
 
-ROBOTS, AROUND_M, SECONDS = 3, 0.75, 60.0
+AROUND_M = 0.75
 BALL_M = (0.5 * TANK.size_m[0], 0.5 * TANK.size_m[1], 0.07)
 BALL_LOOK = Look(tilt_deg=-20.0)
 
 
-def ball(seed: int, seconds: float = SECONDS) -> Row:
+def around(ways: Sequence[float], seed: int) -> Fleet:
+    """Robots that hold their places in those directions from the ball, rad, and face it."""
+    poses = [
+        Pose(
+            x_m=BALL_M[0] + AROUND_M * math.cos(way),
+            y_m=BALL_M[1] + AROUND_M * math.sin(way),
+            yaw_deg=math.degrees(wrap(way + math.pi)),
+        )
+        for way in ways
+    ]
+    return basin.linked(poses, seed, BALL_LOOK)
+
+
+# --- target: where the ball is ---
+
+ROBOTS, TARGET_S = 3, 60.0
+
+
+def target(seed: int, seconds: float = TARGET_S) -> Row:
     """Errors of the robots and of the bound at the end, and both normalised errors squared, a third."""
     rng = generator(seed, "ball")
-    names, first = [f"r{i + 1}" for i in range(ROBOTS)], float(rng.uniform(-math.pi, math.pi))
-    robots = {}
-    for k, name in enumerate(names):
-        way = first + 2.0 * math.pi * k / ROBOTS + float(rng.uniform(-0.2, 0.2))
-        x, y = BALL_M[0] + AROUND_M * math.cos(way), BALL_M[1] + AROUND_M * math.sin(way)
-        pose = Pose(x_m=x, y_m=y, yaw_deg=math.degrees(wrap(way + math.pi)))
-        others = tuple(other for other in names if other != name)
-        robots[name] = basin.robot(name, pose, None, BALL_LOOK, others)
-    fleet = basin.fleet(robots, seed)
+    first = float(rng.uniform(-math.pi, math.pi))
+    fleet = around([first + 2.0 * math.pi * k / ROBOTS + float(rng.uniform(-0.2, 0.2)) for k in range(ROBOTS)], seed)
     with twin_bodies(fleet) as bodies:
         swimmers = Swimmers(fleet, bodies, BALL_M)
-        notes = Notes(swimmers)
-        for _ in range(round(seconds * 20.0)):
-            swimmers.step()
-            notes.take()
-        own = [swimmers.agents[name].measuring.current.estimator.posterior for name in names]
-    joint = joint_filter_of(notes.measured, fleet, list(swimmers.calibrations.values()))
-    at, covariance = joint.target
-    errors = [np.array(known.x_m) - BALL_M for known in own if known is not None]
+        replayed = Replayed(swimmers)
+        for _ in swimmers.each_step(seconds):
+            pass
+        own = [agent.measuring.current.estimator.posterior for agent in swimmers.agents.values()]
+    at, covariance = replayed.joint().target
+    errors = [(np.array(known.x_m) - BALL_M, full(known.cov_m2)) for known in own if known is not None]
     return {
-        "robots": ROBOTS,
-        "told": len(errors),
-        "error_mm": [1e3 * float(np.linalg.norm(e)) for e in errors],
-        "nees": [_nees(e, full(known.cov_m2)) for e, known in zip(errors, filter(None, own), strict=True)],
+        "silent": ROBOTS - len(errors),  # robots that do not know where it is
+        "error_mm": [1e3 * float(np.linalg.norm(e)) for e, _ in errors],
+        "nees": [_nees(e, says) for e, says in errors],
         "bound_mm": 1e3 * float(np.linalg.norm(at - BALL_M)),
         "bound_nees": _nees(at - BALL_M, covariance),
-        "bound_sigma_mm": 1e3 * math.sqrt(float(np.trace(covariance))),
-        "samples": sum(isinstance(one.what, Sample) for one in notes.measured),
+        "samples": replayed.samples,
     }
 
 
@@ -79,252 +80,108 @@ def _nees(e: Array, covariance: Array) -> float:
     return float(e @ np.linalg.solve(covariance, e)) / 3.0
 
 
-# --- crossing: how near robots come to each other, while all of them swim across the basin ---
-# Distances are centre to centre and by the truth. Each robot starts where another one shall be: their ways cross. They
-# are neighbours, all of all, and what they say arrives. The crew arms them when all have found themselves: no robot
-# keeps clear of one that cannot say where it is.
+# --- crossing: how near robots come to each other, while all of them swim to and fro ---
+# Distances are centre to centre and by the truth. The crew arms them when all have found themselves: no robot keeps
+# clear of one that cannot say where it is.
 
-CROSSING_ROBOTS, CROSSING_S = 10, 30.0
+CROSSING_ROBOTS, CROSSING_S, LOSS = 10, 60.0, 0.3
 FIND_S = 30.0  # in the hands of the crew, at most
-APART_M = 0.45  # places that are told; the fleet file demands 0.36
-CLEAR_M = 0.22  # from walls
+APART_M = 0.45  # goals of two; the fleet file demands 0.36
+CLEAR_M = 0.22  # of goals, from walls
+THERE_M, TRY_S = 0.06, 25.0  # a robot gets a new goal when it is there, or has tried for so long
 
 
-def crossing(seed: int, robots: int = CROSSING_ROBOTS, seconds: float = CROSSING_S) -> Row:
-    """Least distance (m) of any two, and the share of robots that are within 5 cm of their goals at the end."""
-    rng = generator(seed, "crossing")
-    starts = places(rng, robots)
-    goals = np.roll(starts, 1 + int(rng.integers(robots - 1)), axis=0)  # no robot stays where it is
-    names = [f"r{i + 1}" for i in range(robots)]
-    fleet = basin.fleet(
-        {
-            name: basin.robot(
-                name,
-                Pose(x_m=float(start[0]), y_m=float(start[1]), yaw_deg=float(rng.uniform(-180.0, 180.0))),
-                Goto(x_m=float(goal[0]), y_m=float(goal[1])),
-                neighbours=tuple(other for other in names if other != name),
-            )
-            for name, start, goal in zip(names, starts, goals, strict=True)
-        },
-        seed,
-    )
+def crossing(seed: int, robots: int = CROSSING_ROBOTS, seconds: float = CROSSING_S, loss: float = 0.0) -> Row:
+    """Least distance (m) of any two, and how many goals were tried and reached; loss: share of words that is lost."""
+    rng, chance = generator(seed, "crossing"), generator(seed, "loss")
+    places: list[Vector] = []
+    for _ in range(robots):
+        places.append(free_place(rng, places))
+    poses = [Pose(x_m=x, y_m=y, yaw_deg=float(rng.uniform(-180.0, 180.0))) for x, y, _ in places]
+    fleet = basin.linked(poses, seed)
     bodies = PlanarBodies(fleet)
     swimmers = Swimmers(fleet, bodies)
+    swimmers.lost = lambda letter: bool(chance.random() < loss)
     bodies.armed = False
-    for _ in range(round(FIND_S * 20.0)):
-        swimmers.step()
-        own = (swimmer_of(agent.capabilities) for agent in swimmers.agents.values())
-        if all(swimmer is not None and not swimmer.lost for swimmer in own):
+    for _ in swimmers.each_step(FIND_S):
+        if not any(one.lost for one in _swimmers_of(swimmers)):
             break
     bodies.armed = True
-    least = math.inf
-    paths = []
-    for _ in range(round(seconds * 20.0)):
-        swimmers.step()
-        here = np.array([swimmers.place(name)[:2] for name in names])
-        least = min(least, float(np.linalg.norm(here[:, None] - here[None], axis=2)[np.triu_indices(robots, 1)].min()))
-        paths.append(here)
-    arrived = np.linalg.norm(paths[-1] - goals, axis=1) < 0.05
-    return {"robots": robots, "least_m": least, "arrived": float(arrived.mean()), "path": np.array(paths)}
+    goals, since_s = dict(zip(fleet.robot, places, strict=True)), dict.fromkeys(fleet.robot, -TRY_S)
+    least_m, tried, reached = math.inf, 0, 0
+    for now_s in swimmers.each_step(seconds):
+        least_m = min(least_m, swimmers.least_apart_m())
+        for name, one in zip(goals, _swimmers_of(swimmers), strict=True):
+            there = math.dist(swimmers.place(name)[:2], goals[name][:2]) < THERE_M
+            if not there and now_s - since_s[name] < TRY_S:
+                continue
+            if since_s[name] >= 0.0:  # else it is where it begins
+                tried, reached = tried + 1, reached + there
+            goals[name] = free_place(rng, [goal for other, goal in goals.items() if other != name])
+            since_s[name] = now_s
+            one.active.begin(Goto(x_m=goals[name][0], y_m=goals[name][1]))
+    return {"least_m": least_m, "tried": tried, "reached": reached}
 
 
-def places(rng: np.random.Generator, robots: int) -> Array:
-    """Places (robots, 2) in the basin, APART_M and more from each other; a draw that gets stuck starts again."""
-    low, high = np.full(2, CLEAR_M), np.array(TANK.size_m[:2]) - CLEAR_M
+def free_place(rng: np.random.Generator, taken: Sequence[Vector]) -> Vector:
+    """A place in the basin, APART_M and more from those. Ten robots leave room for it wherever their goals are."""
     while True:
-        found: list[Array] = []
-        for _ in range(200):
-            place = rng.uniform(low, high)
-            if all(np.linalg.norm(place - other) >= APART_M for other in found):
-                found.append(place)
-            if len(found) == robots:
-                return np.array(found)
+        x, y = (float(rng.uniform(CLEAR_M, side_m - CLEAR_M)) for side_m in TANK.size_m[:2])
+        if all(math.dist((x, y), other[:2]) >= APART_M for other in taken):
+            return x, y, 0.0
 
 
-# --- aid: robots that rarely see tags, around a ball that others have located ---
-# In the plane, with the kernel's filters, pilot and evidence; bodies, fixes and sightings are drawn, and everything
-# said is heard at once. Nothing else tells a robot how it moves: no points to follow. The joint filter, which knows
-# all that all measured, is what can be had; it has no gyro.
+def _swimmers_of(swimmers: Swimmers) -> list[Swimmer]:
+    found = [swimmer_of(agent.capabilities) for agent in swimmers.agents.values()]
+    return [one for one in found if one is not None]
+
+
+# --- aided: robots that rarely see tags, around a ball that others have located ---
+# Nothing else tells a robot how it moves: no points to follow, and a gyro in one case only.
 
 S = 1_000_000_000
-STEP_NS, LATE_NS, SWEPT_NS, SAMPLE_NS = S // 20, S // 10, S // 2, S  # a fix is known 0.1 s late, a sample 0.5 s
-AID_AROUND_M, AID_S = 0.75, 40.0
-AID_BALL_M = np.array((0.5 * TANK.size_m[0], 0.5 * TANK.size_m[1], 0.07))
+AID_FIND_S, AID_S = 12.0, 40.0  # with tags until then; then rarely
 TAGS: dict[str, Callable[[int], bool]] = {  # whether a robot's frames show tags, by time
-    "r1": lambda t_ns: t_ns % (S // 5) == 0,
-    "r2": lambda t_ns: t_ns % (S // 5) == 0 and t_ns % (4 * S) < 2 * S,
-    "r3": lambda t_ns: t_ns % (4 * S) == 0,
-    "r4": lambda t_ns: t_ns % (6 * S) == 0,
+    "r1": lambda t_ns: True,
+    "r2": lambda t_ns: t_ns % (4 * S) < 2 * S,
+    "r3": lambda t_ns: t_ns % (4 * S) < S // 10,  # one frame
+    "r4": lambda t_ns: t_ns % (6 * S) < S // 10,
 }
-FIX = np.array((0.003, 0.003, math.radians(0.2)))  # of a fix: what fluctuates, and what stays; m, m, rad
-STAYS = np.array((0.002, 0.002, math.radians(0.1)))
-# Of a sighting, along the ray, across it and up: what averages out, and what does not; as the kernel has it at 0.75 m.
-RANDOM_M, ALIKE_M = np.array((0.002, 0.0007, 0.001)), np.array((0.0031, 0.0008, 0.0015))
-BIAS_RAD_S = math.radians(0.3)  # of a gyro
-
-
-class AidSample(NamedTuple):
-    """A sighting of the ball: from where it was taken, and as measured from there."""
-
-    t_ns: int
-    offset_m: Vector
-    random_m2: Symmetric
-    alike_m2: Symmetric
-
-
-class Diver:
-    """One robot: its true body, what it is told, and both of its filters."""
-
-    def __init__(self, seed: int, name: str, way: float, gyro: bool) -> None:
-        self.rng, self.name, self.tags, self.gyro = generator(seed, name, "aid"), name, TAGS[name], gyro
-        place = AID_BALL_M[:2] - AID_AROUND_M * np.array((math.cos(way), math.sin(way)))
-        self.goal = Reference((float(place[0]), float(place[1])), way)
-        self.body = PlanarBody.resting((*place, way), drawn_hull(self.rng))
-        self.stays, self.covariance = _squares(STAYS), _squares(FIX)
-        self._wrong, self._alike = self.rng.normal(0.0, STAYS), self.rng.normal(0.0, ALIKE_M)
-        self._bias = float(self.rng.normal(0.0, BIAS_RAD_S))
-        self._pull = self.rng.normal(0.0, PULL.force_n / math.sqrt(2.0), 2)
-        self.ring = EventRing(begin(0, self.fixed(), self.covariance, self.stays, gyro), Hull(), Drift())
-        self.aid, self._sampled_ns = Aid(Hull()), 0
-        self._fixes_ns: deque[int] = deque((0,), maxlen=64)
-        self._late: deque[tuple[int, Event]] = deque()
-
-    def fixed(self) -> Vector:
-        x, y, psi = (self.body.at + self._wrong + self.rng.normal(0.0, FIX)).tolist()
-        return x, y, wrap(psi)
-
-    def swim(self, now_ns: int, by: Belief) -> Event | None:
-        """One step to now_ns under what it asks for, `by` that pose; returns what its tags said there."""
-        keeps = math.exp(-STEP_NS * 1e-9 / PULL.correlation_s)
-        fresh = self.rng.normal(0.0, PULL.force_n / math.sqrt(2.0), 2)
-        self._pull = keeps * self._pull + math.sqrt(1.0 - keeps * keeps) * fresh
-        knows = within(self.at(by.t_ns), LOST_M, LOST_DEG)
-        self.asked = wrench(by, Hull(), self.goal, wanted_velocity(by, self.goal)) if knows else (0.0, 0.0, 0.0)
-        self._tell(asked(by.t_ns, self.asked))
-        self.body.swim(self.asked, STEP_NS * 1e-9, (*self._pull, 0.0))
-        if self.gyro:
-            self._tell(rate(now_ns, float(self.body.speed[2] + self._bias + self.rng.normal(0.0, RATE_RAD_S))))
-        seen = fix(now_ns, self.fixed(), self.covariance, self.stays) if self.tags(now_ns) else None
-        if seen is not None:
-            self._late.append((now_ns + LATE_NS, seen))
-        while self._late and self._late[0][0] <= now_ns:
-            _, event = self._late.popleft()
-            self._tell(event)
-            self._fixes_ns.append(event.t_ns)
-        self.ring.advance(now_ns)
-        self.aid.advance(now_ns)
-        return seen
-
-    def _tell(self, event: Event) -> None:
-        if self.ring.add(event):
-            self.aid.add(event)
-
-    def at(self, t_ns: int) -> Belief:
-        found = self.ring.at(t_ns)
-        assert found is not None
-        return found
-
-    def measure(self, t_ns: int) -> AidSample:
-        """The ball as seen from here."""
-        x, y, psi = self.body.at.tolist()
-        away = AID_BALL_M[:2] - (x, y)
-        along = math.atan2(away[1], away[0])
-        axes = _turned(along)
-        wrong = axes @ (self._alike + self.rng.normal(0.0, RANDOM_M))
-        ahead, left, up = offset_m((x, y, psi), tuple((AID_BALL_M + wrong).tolist()))
-        return AidSample(t_ns, (ahead, left, up), *(upper(axes @ np.diag(s * s) @ axes.T) for s in (RANDOM_M, ALIKE_M)))
-
-    def prior(self, seen: AidSample, now_ns: int) -> Prior | None:
-        """What it says of the ball, with the errors of its own pose in it as the kernel puts them (`carried`)."""
-        own = self.at(seen.t_ns)
-        if not within(own, LOST_M, LOST_DEG):
-            return None
-        at_m, arm = _placed(own.pose, seen.offset_m)
-        factor = kappa((seen.t_ns - self._sampled_ns) * 1e-9, longest_gap_s(self._fixes_ns, now_ns))
-        self._sampled_ns = seen.t_ns
-        random = plus(seen.random_m2, times(factor, carried(arm, own.covariance)))
-        return Prior(at_m, random, seen.t_ns, plus(seen.alike_m2, carried(arm, own.stays)))
-
-    def better(self, others: Posterior | None, now_ns: int) -> Belief | None:
-        """The aided pose, as Localizer.best has it."""
-        own = self.at(now_ns)
-        if self.aid.needed(own, others) and (settled := self.ring.at(self.aid.begins_ns(now_ns))) is not None:
-            self.aid.begin(settled)
-        return self.aid.at(own, others)
 
 
 def aided(seed: int, gyro: bool = False, seconds: float = AID_S) -> Row:
-    """Errors of each robot's own, aided and joint pose while it knows where it is, and of the ball's place."""
+    """Errors of each robot's own and aided pose while it knows where it is, after a quarter of the time; how often it
+    is aided, and the sum of its normalised errors squared then, a third of each."""
     first = float(generator(seed, "aid").uniform(-math.pi, math.pi))
-    divers = [Diver(seed, name, wrap(first + 2.0 * math.pi * k / len(TAGS)), gyro) for k, name in enumerate(TAGS)]
-    table, joint, pending = Table(), JointFilter(len(divers)), deque[tuple[int, int, AidSample]]()
-    for i, one in enumerate(divers):
-        joint.begin(i, 0, one.at(0).pose, one.covariance)
-    errors: dict[str, list[list[Array]]] = {key: [[] for _ in divers] for key in ("own", "aided", "joint")}
+    fleet = around([first + 2.0 * math.pi * k / len(TAGS) for k in range(len(TAGS))], seed)
+    fleet = replace(fleet, navigation=Navigation(gyro=gyro))
+    own_m: dict[str, list[float]] = {name: [] for name in TAGS}
+    aided_m: dict[str, list[float]] = {name: [] for name in TAGS}
     nees: list[float] = []
-    moments = 0  # of all robots
-    by = [one.at(0) for one in divers]
-    for now_ns in range(STEP_NS, round(seconds * S) + 1, STEP_NS):
-        for i, one in enumerate(divers):
-            told = one.swim(now_ns, by[i])
-            joint.ask(i, one.asked)
-            joint.predict(i, now_ns)
-            if told is not None:
-                v = told.values
-                joint.add_fix(i, (v[0], v[1], v[2]), one.covariance)
-            if now_ns % SAMPLE_NS == i * STEP_NS:
-                seen = one.measure(now_ns)
-                pending.append((now_ns + SWEPT_NS, i, seen))
-                place, _ = _placed(joint.pose(i), seen.offset_m)
-                joint.add_sample(i, Fix(place, seen.random_m2, seen.alike_m2), one.stays)
-        while pending and pending[0][0] <= now_ns:
-            _, i, seen = pending.popleft()
-            prior = divers[i].prior(seen, now_ns)
-            if prior is not None:
-                table.measure((divers[i].name, 1), prior)
-                divers[i].aid.see(Seen("ball", *seen))
-        for i, one in enumerate(divers):
-            own = one.at(now_ns)
-            better = one.better(by_others(table, one.name), now_ns)
-            by[i] = better or own
-            if now_ns % (S // 4) == 0 and now_ns > 0.25 * seconds * S:
-                moments += 1
-                if not within(own, LOST_M, LOST_DEG):
+    with twin_bodies(fleet) as bodies:
+        swimmers = Swimmers(fleet, bodies, BALL_M)
+        swimmers.follows_points = False
+        for _ in swimmers.each_step(AID_FIND_S):
+            pass
+        for name, eyes in swimmers.eyes.items():
+            eyes.sees_tags = TAGS[name]
+        for now_s in swimmers.each_step(seconds):
+            if now_s <= 0.25 * seconds:
+                continue
+            for name, one in zip(TAGS, _swimmers_of(swimmers), strict=True):
+                own, best, truth = one.localizer.at(swimmers.now_ns), one.here, swimmers.place(name)
+                if own is None or best is None or not within(own, LOST_M, LOST_DEG):
                     continue
-                truth = one.body.at
-                errors["own"][i].append(own.pose[:2] - truth[:2])
-                errors["aided"][i].append(by[i].pose[:2] - truth[:2])
-                errors["joint"][i].append(np.array(joint.pose(i)[:2]) - truth[:2])
-                if better is not None:
-                    nees.append(_planar_nees(better, truth))
-    ball = fuse(table.opinions())
-    assert ball is not None
-    off, (joint_at, _) = np.array(ball.x_m) - AID_BALL_M, joint.target
+                own_m[name].append(math.dist(own.pose[:2], truth[:2]))
+                aided_m[name].append(math.dist(best.pose[:2], truth[:2]))
+                if best != own:
+                    nees.append(_planar_nees(best, np.array(truth)))
     return {
-        **{f"{key}_mm": [1e3 * _rms(each) for each in found] for key, found in errors.items()},
-        "known": [len(TAGS) * len(each) / moments for each in errors["own"]],
-        "nees": nees,
-        "target_mm": 1e3 * float(np.linalg.norm(off)),
-        "target_nees": float(off @ np.linalg.solve(full(ball.cov_m2), off)) / 3.0,
-        "joint_target_mm": 1e3 * float(np.linalg.norm(joint_at - AID_BALL_M)),
+        "own_mm": [_rms_mm(found) for found in own_m.values()],
+        "aided_mm": [_rms_mm(found) for found in aided_m.values()],
+        "aided": len(nees),
+        "nees": sum(nees),
     }
-
-
-def by_others(table: Table, name: str) -> Posterior | None:
-    """What others than `name` make of it, as StaticTarget has it."""
-    found = fuse([opinion for opinion in table.opinions() if opinion.origin != name])
-    return None if found is None or found.verdict == "ambiguous" else Posterior(found.x_m, found.cov_m2)
-
-
-def _placed(pose: Vector, offset: Vector) -> tuple[Vector, Vector]:
-    """The place of a sample from that pose, and the arm to it."""
-    east, north, _ = (_turned(pose[2]) @ offset).tolist()
-    return (pose[0] + east, pose[1] + north, offset[2]), (east, north, 0.0)
-
-
-def _turned(psi: float) -> Array:
-    c, s = math.cos(psi), math.sin(psi)
-    return np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _planar_nees(belief: Belief, truth: Array) -> float:
@@ -333,10 +190,95 @@ def _planar_nees(belief: Belief, truth: Array) -> float:
     return _nees(e, full(plus(belief.covariance, belief.stays)))
 
 
-def _squares(sigmas: Array) -> Symmetric:
-    xx, yy, zz = np.square(sigmas).tolist()
-    return xx, 0.0, 0.0, yy, 0.0, zz
+def _rms_mm(off_m: list[float]) -> float | None:
+    found = rms(off_m)
+    return None if found is None else 1e3 * found
 
 
-def _rms(found: list[Array]) -> float:
-    return float(np.sqrt(np.mean(np.sum(np.square(found), axis=1))))
+# --- the claim ---
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """What can be asked."""
+
+    target_s: float = TARGET_S
+    robots: int = CROSSING_ROBOTS  # that cross
+    crossing_s: float = CROSSING_S
+    loss: float = LOSS  # share of words that is lost, where some are
+    aid_s: float = AID_S
+
+
+def run(seed: int, case: str, settings: Settings) -> list[Row]:
+    """Raises Failed where a firmware hangs."""
+    if case == "target":
+        return [target(seed, settings.target_s)]
+    if case in ("aid", "aid-gyro"):
+        return [aided(seed, case == "aid-gyro", settings.aid_s)]
+    return [crossing(seed, settings.robots, settings.crossing_s, settings.loss if case == "separation-loss" else 0.0)]
+
+
+def summary(rows: Rows) -> dict[str, Value]:
+    """Root mean squares are over seeds and robots. Where one robot does not know the ball, there is no number. Aided:
+    the robots whose tags are rare, all together."""
+    found: dict[str, Value] = {}
+    for case in {"separation", "separation-loss"} & set(rows):
+        of = rows[case]
+        found[f"{case}_least_m"] = min(row["least_m"] for row in of)
+        found[f"{case}_keep"] = Share(sum(row["least_m"] >= RINGS_M for row in of), len(of))
+        found[f"{case}_reached"] = Share(sum(row["reached"] for row in of), sum(row["tried"] for row in of))
+    if "target" in rows:
+        errors_mm, nees = ([value for row in rows["target"] for value in row[key]] for key in ("error_mm", "nees"))
+        error_mm, bound_mm = rms(errors_mm), rms([row["bound_mm"] for row in rows["target"]])
+        if error_mm is None or any(row["silent"] for row in rows["target"]):
+            error_mm, nees = None, []
+        found["target_mm"], found["target_bound_mm"] = error_mm, bound_mm
+        found["target_ratio_to_bound"] = error_mm / bound_mm if error_mm and bound_mm else None
+        found["target_nees"] = float(np.mean(nees)) if nees else None
+    for case in {"aid", "aid-gyro"} & set(rows):
+        for key in ("own_mm", "aided_mm"):
+            found[f"{case}_{key}"] = rms([off for row in rows[case] for off in row[key][1:] if off is not None])
+        moments = sum(row["aided"] for row in rows[case])
+        found[f"{case}_nees"] = sum(row["nees"] for row in rows[case]) / moments if moments else None
+    return found
+
+
+def _crossing_figures(case: str, words: str) -> tuple[Figure, ...]:
+    return (
+        Figure(f"{case}_keep", f"{words}: no two nearer than 0.34 m, share of dives", "%", least=95.0),
+        Figure(f"{case}_least_m", "their least distance in all dives", "m"),
+        Figure(f"{case}_reached", "goals that they reach within 25 s", "%"),
+    )
+
+
+def _aid_figures(case: str, words: str) -> tuple[Figure, ...]:
+    return (
+        Figure(f"{case}_own_mm", f"{words}: own pose, rms", "mm"),
+        Figure(f"{case}_aided_mm", "the same, aided by the ball", "mm"),
+        Figure(f"{case}_nees", "the aided pose's error as it says: NEES/3", "", most=1.3),
+    )
+
+
+CLAIM = Claim(
+    run=run,
+    summary=summary,
+    settings=Settings,
+    cases=("separation", "separation-loss", "target", "aid", "aid-gyro"),
+    quick={"target_s": 15.0, "robots": 4, "crossing_s": 10.0, "aid_s": 12.0},
+    measured_on="twin",
+    figures=(
+        *_crossing_figures("separation", "ten robots swim to and fro for a minute"),
+        *_crossing_figures("separation-loss", "the same, 30 % of words lost"),
+        Figure("target_mm", "the ball's place, three robots around it: off, rms", "mm"),
+        Figure("target_bound_mm", "the same of one filter that has all measurements", "mm"),
+        Figure("target_ratio_to_bound", "the former to the latter", "", most=1.2),
+        Figure("target_nees", "their error as they say: NEES/3", "", least=0.7, most=1.3),
+        *_aid_figures("aid", "robots that rarely see tags, no points to follow"),
+        *_aid_figures("aid-gyro", "the same, each with a gyro"),
+    ),
+    seeds=60,  # as many as the shares take
+    explanation="""Whole agents swim with drawn tags and a drawn ball: on the twin's bodies under the board's firmware,
+        and on planar bodies where ten of them cross, each told by the others where they are. The thruster rings of two
+        robots touch at 0.34 m. The bound is a filter that has every measurement of all robots and keeps every
+        correlation. NEES is the error squared in units of the stated covariance, 3 where it is honest; poses count
+        while a robot knows by itself where it is.""",
+)

@@ -96,6 +96,18 @@ def robot(
     )
 
 
+def linked(
+    poses: Sequence[Pose], seed: int, look: Look = FLOOR_LOOK, does: Sequence[Behaviour | None] | None = None
+) -> Fleet:
+    """Robots r1, r2 ... at those poses, each a neighbour of all; does: what each is told."""
+    names = [f"r{k + 1}" for k in range(len(poses))]
+    robots = {
+        name: robot(name, pose, what, look, tuple(other for other in names if other != name))
+        for name, pose, what in zip(names, poses, does or [None] * len(poses), strict=True)
+    }
+    return fleet(robots, seed)
+
+
 # --- a body in the plane: the kernel's own form of the equations, with constants of its own ---
 
 Array = NDArray[np.float64]

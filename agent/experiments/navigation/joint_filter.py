@@ -9,24 +9,26 @@ they do not tell each other all.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.capabilities.swim.aided_pose import offset_m
 from agent.capabilities.swim.landmarks import markers
+from agent.capabilities.swim.localizer import Carriage
 from agent.capabilities.swim.plane_odometry import odometry
 from agent.capabilities.swim.pose_filter import FIRST, FIRST_LEARNT, STEP_NS, Drift, Hull, Wrench, motion
 from agent.capabilities.swim.projection import View, view
-from agent.capabilities.swim.tag_fix import Map, NoFix, Priors, TagFix, first_fix, priors, tag_fix, whole
-from agent.core.config import Fleet, Pose
+from agent.capabilities.swim.swim import swimmer_of
+from agent.capabilities.swim.tag_fix import Map, Priors, TagFix, first_fix, priors, tag_fix, whole
 from agent.core.linear_algebra import ZERO, wrap
 from agent.core.messages import Symmetric, Vector
-from agent.core.ranging.camera_model import Calibration, camera_pose
-from agent.core.ranging.fix import EXACT, Fix, Outline, locate
+from agent.core.ranging.fix import Fix
 from agent.core.step_io import Flow, SeenTags
-from agent.experiments.navigation.swimmers import Asked, Carriage, Measured, Sample
+from agent.experiments.navigation.swimmers import Swimmers
 
 Array = NDArray[np.float64]
 
@@ -176,102 +178,105 @@ def full(symmetric: Symmetric) -> Array:
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
-# --- the filter over the notes of a run: fixes, odometry and samples made anew, at its own estimates ---
+# --- the filter over all that the robots of a run measured: fixes and odometry made anew, at its own estimates ---
+
+ORDER = ("sent", "see", "follow", "sight", "key")  # of one moment; all but the last are methods of a Localizer
 
 
-class KeyFrame(NamedTuple):
-    """Points were found that later frames follow."""
+class Told(NamedTuple):
+    """What a robot's own filter was told once; "key": from that frame on it followed points."""
 
-
-ORDER = (Asked, SeenTags, Flow, Sample, KeyFrame)  # of one moment
-
-
-def joint_filter_of(measured: Sequence[Measured], fleet: Fleet, known: Sequence[Calibration]) -> JointFilter:
-    """The filter after all of that; known: of each robot."""
-    keys = {(one.what.since_ns, one.robot) for one in measured if isinstance(one.what, Flow)}
-    frames = [Measured(t_ns, robot, KeyFrame()) for t_ns, robot in sorted(keys)]
-    replayed = Replayed(fleet, known)
-    for one in sorted([*measured, *frames], key=lambda one: (one.t_ns, ORDER.index(type(one.what)), one.robot)):
-        replayed.take(one)
-    return replayed.joint
+    t_ns: int
+    order: int
+    robot: int
+    about: tuple[Any, ...]  # arguments
 
 
 class Replayed:
-    """A run as the joint filter has it."""
+    """A run as the joint filter has it: for the bound, never for an agent. Make it before the first step."""
 
-    def __init__(self, fleet: Fleet, known: Sequence[Calibration]) -> None:
-        assert fleet.landmarks is not None
-        self.joint = JointFilter(len(known))
-        self._fleet, self._known = fleet, known
-        self._map = Map(fleet.landmarks, markers(fleet.landmarks))
-        self._stays: list[Symmetric] = [ZERO] * len(known)
+    def __init__(self, swimmers: Swimmers) -> None:
+        self._told: list[Told] = []
+        self.fleet, self._views = swimmers.fleet, list[View]()
+        self._stays: list[Symmetric] = [ZERO] * len(swimmers.agents)
+        assert self.fleet.landmarks is not None
+        self._map = Map(self.fleet.landmarks, markers(self.fleet.landmarks))
+        for i, (name, agent) in enumerate(swimmers.agents.items()):
+            camera = swimmers.calibrations[name].camera
+            self._views.append(view(camera, self.fleet.body, self.fleet.tank.surface_m, None))
+            swimmer = swimmer_of(agent.capabilities)
+            assert swimmer is not None
+            for order, what in enumerate(ORDER[:-1]):
+                told = getattr(swimmer.localizer, what)
+                setattr(swimmer.localizer, what, partial(self._note, order, i, told))
 
-    def take(self, one: Measured) -> None:
-        i, joint = one.robot, self.joint
-        if not joint.knows(i):
-            if isinstance(one.what, SeenTags) and one.carriage is not None:
-                self._begin(i, one.what, one.carriage)
-            return
-        joint.predict(i, one.t_ns)
-        match one.what:
-            case Asked():
-                joint.ask(i, one.what.wrench)
-            case KeyFrame():
-                joint.keep_key(i, one.t_ns)
-            case SeenTags() if one.carriage is not None:
-                self._fix(i, one.what, one.carriage)
-            case Flow() if one.carriage is not None and one.before is not None:
-                self._flow(i, one.what, one.before, one.carriage)
-            case Sample() if one.carriage is not None:
-                self._sample(i, one.what, one.carriage)
+    @property
+    def samples(self) -> int:
+        """How often the target was measured."""
+        return sum(one.order == ORDER.index("sight") for one in self._told)
 
-    def _begin(self, i: int, frame: SeenTags, carriage: Carriage) -> None:
-        found = first_fix(self._view(i), _priors(carriage, 0.0), self._map, frame.tags)
+    def _note(self, order: int, robot: int, told: Callable[..., None], *about: Any) -> None:
+        match about:
+            case (SeenTags() | Flow() as frame, *_):
+                t_ns = frame.t_ns
+            case (str(), Fix(), _, sample, _):
+                t_ns = sample.t_ns
+            case (_, now_ns):
+                t_ns = now_ns
+        self._told.append(Told(t_ns, order, robot, about))
+        told(*about)
+
+    def joint(self) -> JointFilter:
+        """The filter after all of that."""
+        joint = JointFilter(len(self._views))
+        keys = {(one.about[0].since_ns, one.robot) for one in self._told if ORDER[one.order] == "follow"}
+        frames = [Told(t_ns, ORDER.index("key"), robot, ()) for t_ns, robot in keys]
+        for t_ns, order, i, about in sorted([*self._told, *frames], key=lambda one: one[:3]):
+            joint.predict(i, t_ns)
+            match ORDER[order]:
+                case "see":
+                    self._fix(joint, i, *about)
+                case "sent":
+                    joint.ask(i, about[0])
+                case _ if not joint.knows(i):
+                    pass
+                case "key":
+                    joint.keep_key(i, t_ns)
+                case "follow":
+                    self._flow(joint, i, *about)
+                case "sight":
+                    self._sample(joint, i, *about)
+        return joint
+
+    def _fix(self, joint: JointFilter, i: int, frame: SeenTags, carriage: Carriage) -> None:
+        if joint.knows(i):
+            before = _priors(carriage, joint.speed_m_s(i))
+            found = tag_fix(self._views[i], before, self._map, frame.tags, joint.pose(i))
+        else:
+            found = first_fix(self._views[i], _priors(carriage), self._map, frame.tags)
         if isinstance(found, TagFix):
-            self.joint.begin(i, frame.t_ns, found.theta[:3], found.fluctuates)
+            add = partial(joint.add_fix, i) if joint.knows(i) else partial(joint.begin, i, frame.t_ns)
+            add(found.theta[:3], found.fluctuates)
             self._stays[i] = found.stays
 
-    def _fix(self, i: int, frame: SeenTags, carriage: Carriage) -> None:
-        before = _priors(carriage, self.joint.speed_m_s(i))
-        found = tag_fix(self._view(i), before, self._map, frame.tags, self.joint.pose(i))
-        if not isinstance(found, NoFix):
-            self.joint.add_fix(i, found.theta[:3], found.fluctuates)
-            self._stays[i] = found.stays
-
-    def _flow(self, i: int, flow: Flow, then: Carriage, now: Carriage) -> None:
-        start = whole(self.joint.key_pose(i), _priors(then, 0.0))
-        end = whole(self.joint.pose(i), _priors(now, 0.0))
-        tank = self._fleet.tank
-        moved = odometry(self._view(i), start, end, flow.pairs, (*tank.size_m[:2], tank.surface_m), unsettled=0.0)
+    def _flow(self, joint: JointFilter, i: int, flow: Flow, then: Carriage, now: Carriage, *_: Any) -> None:
+        if not (then.gimbal.rests and now.gimbal.rests):
+            return
+        start, end = whole(joint.key_pose(i), _priors(then)), whole(joint.pose(i), _priors(now))
+        tank = self.fleet.tank
+        moved = odometry(self._views[i], start, end, flow.pairs, (*tank.size_m[:2], tank.surface_m), unsettled=0.0)
         if moved is not None:
-            self.joint.add_flow(i, flow.since_ns, moved.pose, moved.covariance)
+            joint.add_flow(i, flow.since_ns, moved.pose, moved.covariance)
 
-    def _sample(self, i: int, sample: Sample, carriage: Carriage) -> None:
-        sighting, outcome, (level, gimbal) = *sample, carriage
-        x, y, psi = self.joint.pose(i)
-        pose = Pose(x_m=x, y_m=y, yaw_deg=math.degrees(psi))
-        eye = camera_pose(pose, self._fleet.body, *level, *gimbal, self._fleet.tank.surface_m)
-        assert sighting.centre_px is not None and outcome.lens_position is not None and outcome.sigma is not None
-        outline = Outline(
-            sighting.centre_px,
-            sighting.radius_px,
-            sighting.score,
-            sighting.focus,
-            sighting.size_px,
-            sighting.radius_sigma_px,
+    def _sample(self, joint: JointFilter, i: int, target: str, seen: Fix, known: tuple[Any, ...], *_: Any) -> None:
+        """The same way from the robot, from where this filter has it."""
+        ahead, left, up = offset_m(known[0].pose, seen.position_m)
+        x, y, psi = joint.pose(i)
+        c, s = math.cos(psi), math.sin(psi)
+        joint.add_sample(
+            i, seen._replace(position_m=(x + c * ahead - s * left, y + s * ahead + c * left, up)), self._stays[i]
         )
-        ball = self._fleet.target[sighting.target]
-        cues = self._fleet.ranging.cues
-        seen = locate(
-            self._known[i], eye, outline, outcome.lens_position, outcome.sigma, ball, cues, EXACT
-        )  # its pose is in the state
-        if isinstance(seen, Fix):
-            self.joint.add_sample(i, seen, self._stays[i])
-
-    def _view(self, i: int) -> View:
-        return view(self._known[i].camera, self._fleet.body, self._fleet.tank.surface_m, None)
 
 
-def _priors(carriage: Carriage, speed_m_s: float) -> Priors:
-    level, gimbal_deg = carriage
-    return priors(level, gimbal_deg, speed_m_s, turning=False)
+def _priors(carriage: Carriage, speed_m_s: float = 0.0) -> Priors:
+    return priors(carriage.level, carriage.gimbal.deg, speed_m_s, turning=not carriage.gimbal.rests)

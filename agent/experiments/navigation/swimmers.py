@@ -1,15 +1,16 @@
 """The kernel's agents around bodies and drawn cameras, in virtual time: what they ask for is done, what they say heard.
 
 Frames are drawn, never rendered: first a camera that sees tags and points, then a target before it, then all robots of
-a fleet, last notes of what they measured. An agent steps every 50 ms. Frames are searched at follow_hz; what one shows
+a fleet. An agent steps every 50 ms. Frames are searched at follow_hz; what one shows
 is known 0.1 s later. While a sweep moves the lens, a frame is one position of it, and shows no tags.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any, NamedTuple
 
 import msgspec
@@ -17,14 +18,12 @@ import numpy as np
 from msgspec import UNSET, UnsetType
 from numpy.typing import NDArray
 
-from agent.capabilities.swim.pose_filter import Wrench
 from agent.capabilities.swim.projection import BENT_PX, EDGE_AT, EDGE_PX, OFFSET_PX, STRETCH
 from agent.capabilities.swim.swim import swimmer_of
-from agent.core.attitude import Attitude
 from agent.core.codec import encode
 from agent.core.config import Fleet
 from agent.core.messages import Message, Vector
-from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, centre_behind_skin_m, gimbal_deg, pixel
+from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, centre_behind_skin_m, pixel
 from agent.core.ranging.fix import CENTRE_NOISE_PX
 from agent.core.step_io import (
     BlockPeaks,
@@ -36,7 +35,6 @@ from agent.core.step_io import (
     SeenTags,
     SetPoint,
     Sighting,
-    SweepOutcome,
     SweepPlan,
 )
 from agent.core.topics import CLAIM, KEYFRAME, LIGHT, NEAR
@@ -360,6 +358,7 @@ class Eyes:
         self.hide: tuple[str, ...] = ()  # robots that the ball may be behind
         self.pillars: tuple[Pillar, ...] = ()  # what else it may be behind
         self.covered = False  # it sees nothing at all
+        self.sees_tags: Callable[[int], bool] = lambda now_ns: True
         self._plan: SweepPlan | None = None
         self._index = 0
         self.coming: deque[Frame] = deque()
@@ -385,7 +384,9 @@ class Eyes:
         tags, flow = self.tank.expose(pose, t_ns)
         before = [*self.pillars, *(ring(bodies.pose(other)) for other in self.hide)]
         sighting = None if self.ball is None else self.ball.sight(pose, t_ns, before=before)
-        self.coming.append(Frame(step + LATE_STEPS, tags if sees_tags else None, flow, sighting))
+        self.coming.append(
+            Frame(step + LATE_STEPS, tags if sees_tags and self.sees_tags(t_ns) else None, flow, sighting)
+        )
 
     def arrived(self, step: int) -> list[Frame]:
         found = []
@@ -466,91 +467,22 @@ class Swimmers:
         x, y, _ = pose.position_m.tolist()
         return x, y, float(np.arctan2(pose.rotation[1, 0], pose.rotation[0, 0]))
 
-    def path(self, name: str, seconds: float) -> NDArray[np.float64]:
-        """Step on for so long: t (s, from now), x, y (m) and yaw (rad) after each step, (n, 4)."""
-        rows, before_ns = [], self.now_ns
+    def least_apart_m(self) -> float:
+        """Between the true centres of any two."""
+        places = [self.place(name)[:2] for name in self.agents]
+        return min((math.dist(a, b) for a, b in itertools.combinations(places, 2)), default=math.inf)
+
+    def each_step(self, seconds: float) -> Iterator[float]:
+        """Step on for so long; after each step the seconds since now."""
+        before_ns = self.now_ns
         for _ in range(round(seconds * 1e9 / STEP_NS)):
             self.step()
-            rows.append(((self.now_ns - before_ns) * 1e-9, *self.place(name)))
-        return np.array(rows)
+            yield (self.now_ns - before_ns) * 1e-9
+
+    def path(self, name: str, seconds: float) -> Array:
+        """Step on for so long: t (s, from now), x, y (m) and yaw (rad) after each step, (n, 4)."""
+        return np.array([(t, *self.place(name)) for t in self.each_step(seconds)])
 
     def until_swims(self, name: str, at_most_s: float) -> bool:
         """Step on until it is armed, and has found itself."""
-        for _ in range(round(at_most_s * 1e9 / STEP_NS)):
-            self.step()
-            if self.swims(name):
-                return True
-        return False
-
-
-# --- notes of a run, for a bound ---
-
-RESTS_NS = 500_000_000  # after its last order a servo has come to rest
-
-Carriage = tuple[Attitude, tuple[float, float]]  # level, and the gimbal at rest, degrees
-
-
-class Asked(NamedTuple):
-    """What the thrusters were asked for from then on."""
-
-    wrench: Wrench
-
-
-class Sample(NamedTuple):
-    """The sharpest frame of a sweep, and what the kernel made of the sweep."""
-
-    sighting: Sighting
-    outcome: SweepOutcome
-
-
-class Measured(NamedTuple):
-    """One thing that a robot measured or did, with what carried its camera then."""
-
-    t_ns: int
-    robot: int
-    what: NamedTuple | SeenTags | Flow
-    carriage: Carriage | None = None
-    before: Carriage | None = None  # of a flow, at its key frame
-
-
-class Notes:
-    """What all robots measured and did, and what carried their cameras then: for the bound, never for an agent."""
-
-    def __init__(self, swimmers: Swimmers) -> None:
-        self.measured: list[Measured] = []
-        self._swimmers = swimmers
-        self._servos: dict[str, list[tuple[int, tuple[int, int]]]] = {name: [] for name in swimmers.agents}
-        self._sightings: dict[str, dict[int, Sighting]] = {name: {} for name in swimmers.agents}
-
-    def take(self) -> None:
-        """After each step."""
-        for i, (name, inputs) in enumerate(self._swimmers.inputs.items()):
-            for sighting in inputs.sightings:
-                self._sightings[name][sighting.t_ns] = sighting
-            for frame in inputs.landmarks or ():
-                if frame.tags and (carriage := self._carriage(name, frame.t_ns)) is not None:
-                    self.measured.append(Measured(frame.t_ns, i, frame, carriage))
-            for flow in inputs.flow or ():
-                now, then = self._carriage(name, flow.t_ns), self._carriage(name, flow.since_ns)
-                if now is not None and then is not None:
-                    self.measured.append(Measured(flow.t_ns, i, flow, now, then))
-            outputs, now_ns = self._swimmers.outputs[name], self._swimmers.now_ns
-            outcome = outputs.outcome
-            if isinstance(outcome, SweepOutcome) and outcome.t_ns is not None and outcome.x_m is not None:
-                sighting, carriage = self._sightings[name][outcome.t_ns], self._carriage(name, outcome.t_ns)
-                if carriage is not None:
-                    self.measured.append(Measured(outcome.t_ns, i, Sample(sighting, outcome), carriage))
-            to = outputs.set_point
-            self.measured.append(Measured(now_ns, i, Asked((*to.force_n, to.yaw_moment_nm))))
-            orders = self._servos[name]
-            if not orders or orders[-1][1] != to.servos_us[:2]:
-                orders.append((now_ns, to.servos_us[:2]))
-
-    def _carriage(self, name: str, t_ns: int) -> Carriage | None:
-        """None while the gimbal turns, or where the level is not known."""
-        level = self._swimmers.agents[name].attitude.at(t_ns)
-        order = next((order for order in reversed(self._servos[name]) if order[0] <= t_ns), None)
-        if level is None or order is None or t_ns - order[0] < RESTS_NS:
-            return None
-        camera = self._swimmers.calibrations[name].camera
-        return level, gimbal_deg(camera, self._swimmers.fleet.body, order[1])
+        return any(self.swims(name) for _ in self.each_step(at_most_s))

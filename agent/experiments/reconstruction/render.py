@@ -8,21 +8,32 @@ and their poses are exact; `noisy` makes them worse.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from agent.core.config import WaterKind
 from agent.core.ranging.camera_model import Calibration, CameraFit
-from agent.experiments.depth import calibrate, sweeps_of_a_calibration
-from agent.experiments.experiment import Sensor
+from agent.experiments.depth import calibrate
 from agent.experiments.still_camera import WATER_INDEX, StillCamera, TankView, breathing, lens_positions, sweep
 from agent.reconstruction.pose_evidence import moved_about
-from agent.reconstruction.views import Camera, Floats, View, diagonal_prior, keyframe, moved, project
+from agent.reconstruction.views import (
+    Camera,
+    Floats,
+    View,
+    diagonal_prior,
+    keyframe,
+    moved,
+    project,
+    reduction,
+    to_world,
+    unproject,
+)
 from hw.twin.optics.lens import Lens
 from hw.twin.optics.raycast import Optics, ray
 from hw.twin.scene import Scene, Solid, generator, load_scene
@@ -43,6 +54,7 @@ DEPTHS_M = (0.10, 0.22, 0.36)
 TILTS_DEG = (-32.0, -20.0, -8.0)  # one for each depth: lower cameras look less far down
 PANS_DEG = (-30.0, 0.0, 30.0)
 SURFACE_M = 0.5
+BOX_M = np.array([1.5, 1.2, SURFACE_M])  # of the water, as in that file
 # Held back: each robot once more between its pans, and five places where none was.
 BETWEEN = {"r1": (0.16, 15.0), "r2": (0.28, -15.0), "r3": (0.16, -15.0), "r4": (0.28, 15.0), "r5": (0.22, 15.0)}
 NEW = (
@@ -117,24 +129,20 @@ def held_back_new() -> list[Station]:
 # --- the camera model that fits a twin's lens and flat port best ---
 
 NEAR_M, FAR_M = 0.25, 1.3
-ROUNDS = 6  # of Gauss-Newton, from the data sheet's camera: each is linear but for the bend
 
 
 def camera_of(lens: Lens, lens_position: float) -> CameraFit:
-    """Least squares over pixels and ranges, with the lens at rest at that position: exact but for what the model cannot
-    express."""
+    """Least squares over pixels and ranges, from the data sheet's camera, with the lens at rest at that position: exact
+    but for what the model cannot express."""
     pixels, points = _rays(lens, lens_position)
     f = WATER_INDEX * lens.at_position_m(lens_position) / lens.pixel_m
-    found = np.array([f, *lens.centre_px, 0.39, 0.0])
-    step = np.array([1e-3 * f, 1e-2, 1e-2, 1e-4, 1e-5])
-    for _ in range(ROUNDS):
-        rest = (pixels - _projected(found, lens, points)).ravel()
-        columns = [
-            (_projected(found + d, lens, points) - _projected(found - d, lens, points)).ravel() for d in np.diag(step)
-        ]
-        jacobian = np.stack(columns, axis=1) / (2.0 * step)
-        found = found + np.linalg.lstsq(jacobian, rest, rcond=None)[0]
-    f_px, cx, cy, bend, ahead = found.tolist()
+
+    def off(numbers: Floats) -> Floats:
+        f_px, cx, cy, bend, ahead = numbers.tolist()
+        return (project(Camera(f_px, cx, cy, bend, ahead, lens.width, lens.height), points) - pixels).ravel()
+
+    fit = least_squares(off, [f, *lens.centre_px, 0.39, 0.0], x_scale=[1e-3 * f, 1.0, 1.0, 1e-2, 1e-3])
+    f_px, cx, cy, bend, ahead = fit.x.tolist()
     return CameraFit(
         width_px=lens.width,
         height_px=lens.height,
@@ -145,7 +153,7 @@ def camera_of(lens: Lens, lens_position: float) -> CameraFit:
         ahead_m=ahead,
         lens=lens_position,
         breathing=lens.per_position_m / lens.at_position_m(lens_position),
-        noise_px=max(float(np.sqrt(np.mean(rest**2))), 1e-3),
+        noise_px=max(float(np.sqrt(np.mean(fit.fun**2))), 1e-3),
     )
 
 
@@ -163,63 +171,52 @@ def _rays(lens: Lens, lens_position: float) -> tuple[Floats, Floats]:
     return np.array(pixels, float), np.array(points)
 
 
-def _projected(numbers: Floats, lens: Lens, points: Floats) -> Floats:
-    f, cx, cy, bend, ahead = numbers.tolist()
-    return project(Camera(f, cx, cy, bend, ahead, lens.width, lens.height), points)
-
-
 # --- sweeps of all stations ---
 
 EXACT = diagonal_prior(1e-5, 1e-5)
-TRUTH_STEP = 4  # of the full picture's pixels one in so many, across and down, has its true depth kept
 
 Views = list[View]
-Truth = NDArray[np.float32]  # (height, width) of one in TRUTH_STEP pixels: z-depth, m
+Truth = NDArray[np.float32]  # (height, width) z-depth, m
 
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
     """What one tank in one water gave. Truth depths belong to `trained`, in its order."""
 
-    seed: int
-    water: WaterKind
     scene: Scene
     trained: Views
     known: Views  # held back, from stations that are trained on
     new: Views  # held back, from others
     truth_m: list[Truth]
+    times: int  # so many times as large are pictures in which one pixel in so many, across and down, has its truth kept
 
 
-def sweeps_of_a_world() -> int:
-    """How often `render` sweeps."""
-    return len(MOORED) * sweeps_of_a_calibration() + len(trained()) + len(held_back_known()) + len(held_back_new())
-
-
-def render(seed: int, water: WaterKind, sensor: Sensor, step: Callable[[], None]) -> Rendered:
-    """Every view of one tank; `step` is called after each sweep."""
+def render(seed: int, water: WaterKind, sensor: str, robots: int = len(MOORED)) -> Rendered:
+    """Every view of one tank by its first robots."""
     scene = scene_of_seed(seed, water)
-    found: dict[str, Views] = {"trained": [], "known": [], "new": []}
+    groups = {"trained": trained(), "known": held_back_known(), "new": held_back_new()}
+    found: dict[str, Views] = {group: [] for group in groups}
     truth = []
-    for robot in MOORED:
-        known = calibrated(robot, seed, sensor, scene, step)
+    for robot in list(MOORED)[:robots]:
+        known = calibrated(robot, seed, sensor, scene)
         camera = StillCamera(sensor, seed, robot, scene)
         camera.prepare()
-        groups = {"trained": trained(), "known": held_back_known(), "new": held_back_new()}
+        times = reduction(camera.lens.width)
         for group, stations in groups.items():
             for seq, station in enumerate(stations):
-                if station.robot == robot:
-                    found[group].append(seen(camera, station, seq, known))
-                    if group == "trained":
-                        truth.append(camera.truth_m(known.camera.lens)[::TRUTH_STEP, ::TRUTH_STEP].copy())
-                    step()
-    return Rendered(seed, water, scene, found["trained"], found["known"], found["new"], truth)
+                if station.robot != robot:
+                    continue
+                found[group].append(seen(camera, station, seq, known))
+                if group == "trained":
+                    truth.append(camera.truth_m(known.camera.lens)[::times, ::times].copy())
+    return Rendered(scene, found["trained"], found["known"], found["new"], truth, times)
 
 
-def calibrated(robot: str, seed: int, sensor: Sensor, scene: Scene, step: Callable[[], None]) -> Calibration:
+def calibrated(robot: str, seed: int, sensor: str, scene: Scene) -> Calibration:
     """This robot's lens, measured before a wall; its picture, the best that the model can say of the twin's."""
     bench = StillCamera(sensor, seed, robot, msgspec.structs.replace(scene, solid=()))
     bench.prepare()
-    focus = calibrate(bench, breathing(bench), step)
+    focus = calibrate(bench, breathing(bench))
     fit = camera_of(bench.lens, float(bench.lens.highest))
     return Calibration(robot=robot, made="", source="wall", focus=focus, camera=fit)
 
@@ -253,13 +250,10 @@ def rotation_of_view(yaw_deg: float, tilt_deg: float) -> NDArray[np.float64]:
 
 def truth_points(rendered: Rendered) -> Sequence[NDArray[np.float64]]:
     """Of each trained view the places (n, 3) that it truly sees, world."""
-    from agent.reconstruction.views import to_world, unproject
-
     points = []
     for view, depth in zip(rendered.trained, rendered.truth_m, strict=True):
-        v, u = np.mgrid[: depth.shape[0], : depth.shape[1]] * float(TRUTH_STEP)
-        times = TRUTH_STEP  # pictures of views are TRUTH_STEP times smaller: back to their pixels
-        pixels = (np.stack([u, v], axis=-1) - (times - 1) / 2.0) / times
+        v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
+        pixels = np.stack([u, v], axis=-1) - 0.5 * (1.0 - 1.0 / rendered.times)  # the first of each square that is one
         points.append(to_world(view, unproject(view.camera, pixels, depth.astype(float))).reshape(-1, 3))
     return points
 

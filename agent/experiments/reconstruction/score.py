@@ -13,13 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from agent.experiments.experiment import Row
-from agent.experiments.reconstruction.render import Rendered, truth_points
-from agent.process.command import shipped_fleet
-from agent.reconstruction.held_back import HeldBack, ImageModel, judged
-from agent.reconstruction.pose_evidence import Motion, apart, between, by_motion
+from agent.experiments.reconstruction.render import BOX_M, Rendered, truth_points
+from agent.reconstruction.held_back import ImageModel, judged
+from agent.reconstruction.pose_evidence import apart, between, by_motion
 from agent.reconstruction.views import Floats, View, see
-from agent.robot.fleet_reader import load_fleet
 from hw.twin.optics.raycast import turned
 from hw.twin.scene import Solid
 
@@ -31,39 +28,28 @@ HIDDEN = 1.01  # a place is seen if nothing is nearer by more than this factor
 class Score(NamedTuple):
     """Millimetres, and per cent."""
 
-    mean_mm: float
     median_mm: float
-    objects_mean_mm: float  # of points nearest to a solid
+    objects_mm: float | None  # mean over points that are nearest to a solid; None: there is none
     complete_10mm: float  # share of the places that two trained views see
-    precision_5mm: float
-    recall_5mm: float
-    f5: float
+    f5: float  # harmonic mean of precision and recall
 
 
 def score(points_m: Floats, rendered: Rendered, truth_m: Floats) -> Score:
     """Points (n, 3) of a surface against one tank; truth_m (m, 3) from `seen_twice`."""
-    distance, of_solid = distances(points_m, rendered)
+    distance, of_solid = distances_to(points_m, BOX_M, rendered.scene.solid)
     nearest = nearest_m(truth_m, points_m, NEAR_M)
     precision, recall = float(np.mean(distance < F_M)), float(np.mean(nearest < F_M))
     return Score(
-        mean_mm=1e3 * float(distance.mean()),
         median_mm=1e3 * float(np.median(distance)),
-        objects_mean_mm=1e3 * float(distance[of_solid].mean()) if of_solid.any() else float("nan"),
+        objects_mm=1e3 * float(distance[of_solid].mean()) if of_solid.any() else None,
         complete_10mm=100.0 * float(np.mean(nearest < NEAR_M)),
-        precision_5mm=100.0 * precision,
-        recall_5mm=100.0 * recall,
         f5=100.0 * 2.0 * precision * recall / max(precision + recall, 1e-9),
     )
 
 
-def distances(points_m: Floats, rendered: Rendered) -> tuple[Floats, NDArray[np.bool_]]:
-    """From each point (n, 3) to the nearest true surface, metres, and whether that is a solid's."""
-    tank = load_fleet(shipped_fleet()).tank
-    return distances_to(points_m, np.array([tank.size_m[0], tank.size_m[1], tank.surface_m]), rendered.scene.solid)
-
-
 def distances_to(points_m: Floats, box: Floats, things: Sequence[Solid]) -> tuple[Floats, NDArray[np.bool_]]:
-    """The same of water of any size (3,), metres; boxes may be turned, ellipsoids stand straight."""
+    """From each point (n, 3) to the nearest true surface, metres, and whether that is a thing's; box (3,): size of the
+    water. Boxes may be turned, ellipsoids stand straight."""
     walls = np.minimum(np.abs(points_m), np.abs(points_m - box)).min(axis=1)
     solids = np.full(len(points_m), np.inf)
     for solid in things:
@@ -125,74 +111,27 @@ def nearest_m(of_m: Floats, among_m: Floats, most_m: float) -> Floats:
 # Refined poses are known but for one motion of everything: held-back views are carried into the model's world,
 # and points of its surface back into the true one, before anything is compared.
 
-LEAST_DB = (30.0, 27.0)  # at known and at new stations, exact poses
-MOST_LOST_DB, MOST_LOST_F = 1.0, 5.0  # by poses that had to be refined, against exact ones
 
-
-def picture_row(model: ImageModel, rendered: Rendered, views: Sequence[View]) -> Row:
-    """PSNR of photographs from stations that were trained on (in), and from others (new), and what the model is.
-
-    views: those it learnt from, with the poses that they had then.
-    """
-    known, new = held_back(model, rendered, views)
-    return {
-        "psnr_in": _mean([one.psnr_db for one in known]),
-        "psnr_new": _mean([one.psnr_db for one in new]),
-        "unplaced_in": _mean([one.unplaced_db for one in known]),
-        "unplaced_new": _mean([one.unplaced_db for one in new]),
-        "image": model.kind,
-        "image_steps": model.steps,
-        "beta_mm": model.beta_mm,
-        "beta_clamped": model.beta_clamped,
-    }
-
-
-def held_back(model: ImageModel, rendered: Rendered, views: Sequence[View]) -> tuple[list[HeldBack], list[HeldBack]]:
-    """Photographs of known and of new stations beside what the model shows there."""
-    there = inverse(between(views, rendered.trained))
+def psnr_known_new(model: ImageModel, rendered: Rendered, views: Sequence[View]) -> tuple[float, float]:
+    """Mean PSNR, dB, of photographs from stations that were trained on, and from others; views: those that the model
+    learnt from, with the poses that they had then."""
+    there = between(rendered.trained, views)
     known, new = (
-        judged(model.look, [by_motion(view, there) for view in group]) for group in (rendered.known, rendered.new)
+        float(np.mean([one.psnr_db for one in judged(model.look, [by_motion(view, there) for view in group])]))
+        for group in (rendered.known, rendered.new)
     )
     return known, new
 
 
-def pose_row(views: Sequence[View], rendered: Rendered) -> Row:
-    """How far poses are from the true ones, mean over views, once the motion of everything is taken off."""
-    motion = between(views, rendered.trained)
-    metres, radians = apart([by_motion(view, motion) for view in views], rendered.trained)
-    return {"place_mm": 1e3 * float(metres.mean()), "turn_deg": float(np.degrees(radians.mean()))}
+def off_mm_deg(views: Sequence[View], true: Sequence[View]) -> tuple[float, float]:
+    """How far places and angles of cameras are from the true ones, mean over views, once the motion of everything is
+    taken off."""
+    motion = between(views, true)
+    metres, radians = apart([by_motion(view, motion) for view in views], true)
+    return 1e3 * float(metres.mean()), float(np.degrees(radians.mean()))
 
 
 def into_truth(points_m: Floats, views: Sequence[View], rendered: Rendered) -> Floats:
     """Points (n, 3) of a surface made with these views, in the world in which the twin knows where everything is."""
     motion = between(views, rendered.trained)
     return np.asarray(points_m @ motion.rotation.T + motion.shift_m)
-
-
-def inverse(motion: Motion) -> Motion:
-    return Motion(motion.rotation.T, -motion.rotation.T @ motion.shift_m)
-
-
-def missed_pictures(cases: Sequence[Row]) -> list[str]:
-    """Targets of image models and of refined poses that are not reached."""
-    exact = {(one["seed"], one["water"]): one for one in cases if one["poses"] == "exact"}
-    found = []
-    for one in cases:
-        key = one["seed"], one["water"]
-        name = f"seed {key[0]}, {key[1]}"
-        if one["poses"] == "exact":
-            told = [("known", one["psnr_in"], LEAST_DB[0]), ("new", one["psnr_new"], LEAST_DB[1])]
-            found += [f"{name}: {where} stations {value:.1f} dB" for where, value, least in told if value < least]
-        elif one["poses"] == "refined" and key in exact:
-            lost_db = [exact[key][field] - one[field] for field in ("psnr_in", "psnr_new")]
-            lost_f = exact[key]["f5"] - one["f5"]
-            for where, lost in zip(("known", "new"), lost_db, strict=True):
-                if lost > MOST_LOST_DB:
-                    found.append(f"{name}: refined poses lose {lost:.1f} dB at {where} stations")
-            if lost_f > MOST_LOST_F:
-                found.append(f"{name}: refined poses lose {lost_f:.1f} points of F")
-    return found
-
-
-def _mean(values: Sequence[float]) -> float:
-    return float(np.mean(values))

@@ -12,7 +12,8 @@ from agent.core.capability_messages import MOST_NUMBER, Claim, Keyframe, View
 from agent.core.codec import Refusal, encode
 from agent.core.config import Fleet
 from agent.core.step_io import Heard, Inputs
-from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, draw_scene, fleet_of
+from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, fleet_of
+from agent.experiments.reconstruction.drawn_scene import draw_scene
 from agent.robot.step import Agent
 from tests.capabilities.survey.frames import FLEET, GRID, LENS, ROWS, drawn_frames
 

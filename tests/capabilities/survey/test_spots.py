@@ -8,7 +8,7 @@ from agent.capabilities.survey.candidates import SPOTS_ACROSS, SPOTS_DOWN, Stati
 from agent.capabilities.survey.coverage_map import FARTHEST_M, grid_of
 from agent.capabilities.survey.survey import lens_of
 from agent.core.config import Body, Pose
-from agent.experiments.reconstruction.coverage import WIDE, swimming_fleet
+from agent.experiments.reconstruction.survey import WIDE, swimming_fleet
 
 FLEET = swimming_fleet(1)
 GRID = grid_of(FLEET)
