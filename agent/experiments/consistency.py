@@ -6,8 +6,6 @@ smaller where it is timid. Each robot is a world of its own, and measures its ba
 
 from __future__ import annotations
 
-from typing import get_args
-
 import msgspec
 import numpy as np
 
@@ -15,6 +13,7 @@ from agent.core.config import Cues
 from agent.experiments.ball_measurements import RANGE_M, ball_measurements
 from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value, rms
 
+CUES: dict[Cues, str] = {"both": "focus and size", "focus": "focus alone", "size": "size alone"}
 BANDS_M = {"near": (RANGE_M[0], 0.40), "middle": (0.40, 0.90), "far": (0.90, RANGE_M[1])}
 
 
@@ -35,7 +34,7 @@ def summary(rows: Rows) -> dict[str, Value]:
     places = rows["all"]
     good = [row for row in places if "nees" in row["both"]]
     found: dict[str, Value] = {"measured": Share(len(good), len(places))}
-    for cue in get_args(Cues):
+    for cue in CUES:
         of_cue = [(row["distance_m"], row[cue]) for row in good if "nees" in row[cue]]
         found[f"{cue}_nees"] = float(np.mean([one["nees"] for _, one in of_cue])) if of_cue else None
         found[f"{cue}_mm"] = rms([one["error_mm"] for _, one in of_cue])
@@ -52,21 +51,17 @@ CLAIM = Claim(
     measured_on="twin",
     figures=(
         Figure("both_nees", "error as the covariance says, focus and size: mean NEES", "", least=2.5, most=3.5),
-        Figure("focus_nees", "the same, focus alone"),
-        Figure("size_nees", "the same, size alone"),
+        *(Figure(f"{cue}_nees", f"{CUES[cue]}: mean NEES") for cue in ("focus", "size")),
         Figure("measured", "places that give a measurement", "%"),
-        Figure("both_mm", "place of the ball in the world, focus and size, rms error", "mm"),
-        Figure("focus_mm", "the same, focus alone", "mm"),
-        Figure("size_mm", "the same, size alone", "mm"),
-        Figure("both_near_mm", "range from the camera, 0.25 to 0.4 m, focus and size, rms error", "mm"),
-        Figure("focus_near_mm", "the same, focus alone", "mm"),
-        Figure("size_near_mm", "the same, size alone", "mm"),
-        Figure("both_middle_mm", "range from the camera, 0.4 to 0.9 m, focus and size", "mm"),
-        Figure("focus_middle_mm", "the same, focus alone", "mm"),
-        Figure("size_middle_mm", "the same, size alone", "mm"),
-        Figure("both_far_mm", "range from the camera, 0.9 to 1.2 m, focus and size", "mm"),
-        Figure("focus_far_mm", "the same, focus alone", "mm"),
-        Figure("size_far_mm", "the same, size alone", "mm"),
+        *(
+            Figure(f"{cue}_mm", f"{words}: place of the ball in the world, rms error", "mm")
+            for cue, words in CUES.items()
+        ),
+        *(
+            Figure(f"{cue}_{band}_mm", f"{words}: range from the camera, {low:g} to {high:g} m, rms error", "mm")
+            for band, (low, high) in BANDS_M.items()
+            for cue, words in CUES.items()
+        ),
     ),
     seeds=40,  # their errors of calibration stay with all places of a robot
     explanation="""A robot with a lens, servos and a calibration of its own looks at a ball from 25 places, 0.25 to

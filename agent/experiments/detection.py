@@ -1,28 +1,25 @@
 """Is the ball found, where it is, in every kind of water, and not where it is not?
 
-In each water a number of places, spread over several worlds; from each place the ball sharp and defocused, and the same
-views without it; each picture as the camera gives it and enhanced. A frame counts when it shows 120 deg of the outline;
-found is what lies within a fifth of the radius of the truth, and everything else that is called a ball is false.
+In each world a number of places; from each place the ball sharp and defocused, and the same views without it; each
+picture as the camera gives it and enhanced.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
-from typing import NamedTuple, TypeVar
+from collections.abc import Iterator
+from typing import NamedTuple, TypeVar, get_args
 
 import msgspec
 import numpy as np
 from numpy.typing import NDArray
-from rich.table import Table
 
 from agent.core.config import WaterKind
 from agent.core.ranging.camera_model import CameraFit
-from agent.experiments.experiment import DEFAULT_SENSOR, WATERS, ExperimentResult, Row, Sensor
-from agent.experiments.still_camera import StillCamera, TankView
+from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value, percentile
+from agent.experiments.still_camera import WATER_INDEX, StillCamera, TankView
 from agent.perception.detection.detect import Ball, find_ball
 from agent.perception.enhancement.enhance import classic, enhance, raw_else_enhanced
-from agent.process.command import Progress
 from hw.camera.camera import Image
 from hw.twin.optics.raycast import Floats
 from hw.twin.scene import SceneWater, Solid, generator, load_scene
@@ -35,7 +32,6 @@ from hw.twin.scene import SceneWater, Solid, generator, load_scene
 Array = NDArray[np.float64]
 T = TypeVar("T", bound=np.generic)
 
-WATER_INDEX = 1.333
 BALL_RADIUS_M = 0.07
 RANGE_M = (0.25, 1.5)  # camera to the ball's centre
 HEIGHT_M = (0.05, 0.40)  # of the camera above the floor
@@ -64,7 +60,7 @@ class BallView(NamedTuple):
     sharp: bool
 
 
-def ball_views(water: WaterKind, sensor: Sensor, seed: int, count: int) -> Iterator[BallView]:
+def ball_views(water: WaterKind, sensor: str, seed: int, count: int) -> Iterator[BallView]:
     """`count` places in one world, each seen sharp and defocused; the same arguments give the same pictures."""
     rng = generator(seed, water, "views")
     ball_m = (rng.uniform(0.2, 0.4), rng.uniform(0.2, 0.4), BALL_RADIUS_M)  # near a corner: some views are long
@@ -157,145 +153,124 @@ def _pairs(values: NDArray[T], axis: int) -> tuple[NDArray[T], NDArray[T]]:
     return (values[:-1], values[1:]) if axis == 0 else (values[:, :-1], values[:, 1:])
 
 
-# --- the experiment ---
+# --- what is found in a view ---
 
-Find = Callable[[Image, CameraFit], Ball | None]
-
-IMAGES: dict[str, Find] = {
-    "raw": find_ball,
-    "classic": lambda image, camera: find_ball(classic(image), camera),
-    "enhanced": lambda image, camera: find_ball(enhance(image), camera),
-    "raw, else enhanced": lambda image, camera: raw_else_enhanced(
-        lambda shown: find_ball(shown, camera), image, lambda: enhance(image)
-    ),
+WAYS = {
+    "raw": "raw frames",
+    "classic": "white balance and CLAHE",
+    "enhanced": "frames enhanced by the network",
+    "either": "raw, else enhanced, as a robot does",
 }
-WORLDS = 10  # tanks of each kind of water: its veil differs from tank to tank by a factor of six
-RANGES_M = ((0.25, 0.4), (0.4, 0.8), (0.8, 1.5), (0.25, 1.5))
 ENOUGH = 1 / 3  # of the outline
 NEAR_ENOUGH = 0.2  # of the radius, in centre and in radius
-ERRORS = ("centre_median_px", "centre_p95_px", "radius_bias_px", "radius_p95_px")
+
+
+def balls(image: Image, camera: CameraFit) -> dict[str, Ball | None]:
+    """The ball that each way finds in a picture."""
+    clear = enhance(image)
+    return {
+        "raw": find_ball(image, camera),
+        "classic": find_ball(classic(image), camera),
+        "enhanced": find_ball(clear, camera),
+        "either": raw_else_enhanced(lambda shown: find_ball(shown, camera), image, lambda: clear),
+    }
+
+
+def errors_px(truth: Outline | None, ball: Ball | None) -> tuple[float, float] | None:
+    """Of centre and radius, of a ball that is the true one."""
+    if not ball or not truth:
+        return None
+    centre_px, radius_px = math.dist(ball.centre_px, truth.centre_px), ball.radius_px - truth.radius_px
+    return (centre_px, radius_px) if max(centre_px, abs(radius_px)) < NEAR_ENOUGH * ball.radius_px else None
+
+
+# --- the claim ---
+
+FOCI = ("sharp", "defocused")
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """What can be asked."""
 
-    seed: int = 0  # the first world; the others follow it
-    count: int = 200  # places in each kind of water
-    sensor: Sensor = DEFAULT_SENSOR
-    waters: tuple[WaterKind, ...] = WATERS
+    places: int = 20  # in a world
+    sensor: str = "imx519_640"  # a preset of hw.twin.optics.lens
 
 
-class Result(ExperimentResult, frozen=True, kw_only=True):
-    """A row in `cases` for each water, image, focus and stretch of range."""
-
-    schema: int = 1
-    source: str = "twin"
-    seed: int
-    sensor: str
-    places: int
-    cases: list[Row]
-
-
-class Outcome(NamedTuple):
-    """What the detector said of one view."""
-
-    water: str
-    image: str
-    sharp: bool
-    range_m: float
-    counts: bool  # the frame shows enough of the ball
-    found: bool
-    false: int  # a ball beside the ball, or in the picture without one: 0 to 2
-    centre_px: float  # errors; nan where it was not found
-    radius_px: float
+def run(seed: int, case: str, settings: Settings) -> list[Row]:
+    """One tank of this water; a row for each way and focus."""
+    rows = {(way, focus): empty(way, focus) for way in WAYS for focus in FOCI}
+    for view in ball_views(msgspec.convert(case, WaterKind), settings.sensor, seed, settings.places):
+        found, elsewhere = balls(view.with_ball, view.camera), balls(view.without, view.camera)
+        for way in WAYS:
+            add(rows[way, FOCI[0] if view.sharp else FOCI[1]], view.truth, found[way], elsewhere[way])
+    return list(rows.values())
 
 
-def run(settings: Settings, progress: Progress) -> Result:
-    """Look for the ball in each water; progress counts places."""
-    outcomes: list[Outcome] = []
-    done, total = 0, settings.count * len(settings.waters)
-    progress(done, total)
-    for water in settings.waters:
-        for world in range(min(WORLDS, settings.count)):
-            places = len(range(world, settings.count, WORLDS))
-            for k, view in enumerate(ball_views(water, settings.sensor, settings.seed + world, places)):
-                outcomes += [outcome(view, water, name, find) for name, find in IMAGES.items()]
-                done += k % 2  # a place is seen twice
-                progress(done, total)
-    return Result(seed=settings.seed, sensor=settings.sensor, places=settings.count, cases=cases(outcomes))
+def empty(way: str, focus: str) -> Row:
+    counts = {"frames": 0, "found": 0, "pictures": 0, "false": 0}
+    return {"way": way, "focus": focus, **counts, "centre_px": [], "radius_px": []}
 
 
-def outcome(view: BallView, water: str, name: str, find: Find) -> Outcome:
-    """One view, with the ball and without it, looked at in one way."""
-    truth = view.truth
-    ball = find(view.with_ball, view.camera)
-    elsewhere = find(view.without, view.camera)
-    counts = truth is not None and truth.visible >= ENOUGH
-    centre_px, radius_px, right = math.nan, math.nan, False
-    if ball and truth:
-        centre_px, radius_px = math.dist(ball.centre_px, truth.centre_px), ball.radius_px - truth.radius_px
-        right = max(centre_px, abs(radius_px)) < NEAR_ENOUGH * ball.radius_px
-    false = int(ball is not None and not right) + int(elsewhere is not None)
-    if not right:
-        centre_px = radius_px = math.nan
-    return Outcome(water, name, view.sharp, view.range_m, counts, right, false, centre_px, radius_px)
+def add(row: Row, truth: Outline | None, ball: Ball | None, elsewhere: Ball | None) -> None:
+    """A view. `ball`: what was found in the picture with the ball; `elsewhere`: in the one without."""
+    errors = errors_px(truth, ball)
+    row["pictures"] += 2
+    row["false"] += int(ball is not None and errors is None) + int(elsewhere is not None)
+    if truth is None or truth.visible < ENOUGH:
+        return
+    row["frames"] += 1
+    if errors:
+        row["found"] += 1
+        row["centre_px"].append(errors[0])
+        row["radius_px"].append(errors[1])
 
 
-def cases(outcomes: list[Outcome]) -> list[Row]:
-    """One row per water, image, focus and stretch of range."""
-    rows = []
-    for water, image in dict.fromkeys((one.water, one.image) for one in outcomes):
-        for sharp in (True, False):
-            for low, high in RANGES_M:
-                group = [
-                    one
-                    for one in outcomes
-                    if (one.water, one.image, one.sharp) == (water, image, sharp) and low <= one.range_m < high
-                ]
-                case = {"water": water, "image": image, "focus": "sharp" if sharp else "defocused"}
-                rows.append({**case, "range_m": [low, high], **summary(group)})
-    return rows
+def summary(rows: Rows) -> dict[str, Value]:
+    """Over all kinds of water; of raw frames, how many are found in each."""
+    figures: dict[str, Value] = {}
+    for water, of_water in rows.items():
+        figures[f"{water}_found"] = share([row for row in of_water if row["way"] == "raw"], "found", "frames")
+    everything = [row for of_water in rows.values() for row in of_water]
+    for way in WAYS:
+        of_way = [row for row in everything if row["way"] == way]
+        figures[f"{way}_false"] = share(of_way, "false", "pictures")
+        for focus in FOCI:
+            group = [row for row in of_way if row["focus"] == focus]
+            figures[f"{way}_{focus}_found"] = share(group, "found", "frames")
+            centre_px, radius_px = ([px for row in group for px in row[key]] for key in ("centre_px", "radius_px"))
+            figures[f"{way}_{focus}_centre_px"] = percentile(centre_px, 95.0)
+            figures[f"{way}_{focus}_radius_px"] = percentile(radius_px, 50.0)
+    return figures
 
 
-def summary(group: list[Outcome]) -> Row:
-    """Rates and errors of a group."""
-    counted = [one for one in group if one.counts]
-    centre = np.array([one.centre_px for one in counted if one.found])
-    radius = np.array([one.radius_px for one in counted if one.found])
-    values: list[float | None] = [None] * len(ERRORS)
-    if len(centre):
-        size = np.abs(radius)
-        measures = np.median(centre), np.quantile(centre, 0.95), np.median(radius), np.quantile(size, 0.95)
-        values = [float(value) for value in measures]
-    return {
-        "frames": len(counted),
-        "found": len(centre),
-        "rate": len(centre) / len(counted) if counted else None,
-        "pictures": 2 * len(group),  # with the ball and without it
-        "false": sum(one.false for one in group),
-        **dict(zip(ERRORS, values, strict=True)),
-    }
+def share(rows: list[Row], hits: str, of: str) -> Share:
+    return Share(sum(row[hits] for row in rows), sum(row[of] for row in rows))
 
 
-# --- table ---
-
-
-def table(result: Result) -> Table:
-    """Rates and errors over all ranges: a line for each water, image and focus."""
-    shown = Table(title=f"{result.sensor}, {result.places} places in each water, 0.25 to 1.5 m")
-    for column in ("water", "image", "focus"):
-        shown.add_column(column)
-    for column in ("found", "false", "centre px", "95 %", "radius px", "95 %"):
-        shown.add_column(column, justify="right")
-    for case in result.cases:
-        if tuple(case["range_m"]) != RANGES_M[-1]:
-            continue
-        shown.add_row(
-            case["water"],
-            case["image"],
-            case["focus"],
-            f"{case['found']}/{case['frames']}",
-            f"{case['false']}/{case['pictures']}",
-            *("-" if case[name] is None else f"{case[name]:.2f}" for name in ERRORS),
-        )
-    return shown
+CLAIM = Claim(
+    run=run,
+    summary=summary,
+    settings=Settings,
+    quick={"places": 1},
+    cases=get_args(WaterKind),
+    measured_on="twin",
+    figures=(
+        *(Figure(f"{water}_found", f"balls found in raw frames, {water}", "%") for water in get_args(WaterKind)),
+        *(
+            Figure(f"{way}_{focus}_{key}", f"{words}, {focus}: {of}", unit)
+            for way, words in WAYS.items()
+            for key, of, unit in (
+                ("found", "balls found", "%"),
+                ("centre_px", "centre off, 95 %", "px"),
+                ("radius_px", "radius off, median", "px"),
+            )
+            for focus in FOCI
+        ),
+        *(Figure(f"{way}_false", f"{words}: something else is called a ball", "%") for way, words in WAYS.items()),
+    ),
+    seeds=10,  # a veil differs from tank to tank by a factor of six
+    explanation="""A red ball in a tank of each kind of water, from 0.25 to 1.5 m, some of it behind a stone or cut off
+        by the frame; from each place sharp, and defocused by at least 300 of 1023 lens positions, and the same views
+        without it. A frame counts when it shows 120 degrees of the outline; found is what lies within a fifth of the
+        radius of the truth, in centre and in radius. Each seed is another tank, lens and set of places.""",
+)

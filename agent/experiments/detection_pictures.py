@@ -13,19 +13,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple, get_args
 
-import cv2
-import numpy as np
-from matplotlib.figure import Figure
-from msgspec import Struct
-from numpy.typing import NDArray
-from rich.console import Group
-from rich.table import Table
+import msgspec
 
 from agent.core.config import Colour, ConfigError
 from agent.core.ranging.camera_model import CameraFit
-from agent.experiments.experiment import ExperimentResult, Figures, Row
+from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, Value
 from agent.perception.detection.detect import Ball, find_balls
-from agent.process.command import Progress, step_by_step
 from hw.camera.camera import Image
 from hw.camera.files import picture_files, read_picture
 
@@ -104,28 +97,16 @@ def _number(text: str, where: str) -> float:
     return value
 
 
-# --- the experiment ---
+# --- what is found in a picture ---
 
 NEAR_ENOUGH = 0.2  # of the radius, in centre and in radius, as on the twin
 HFOV_DEG = 10.0
 ALIKE = frozenset({"red", "orange"})
-CLASSES_PX = ((0.0, 5.0), (5.0, 8.0), (8.0, 10.0), (10.0, 16.0), (16.0, math.inf))  # of the marked radius
-# A target: what the size cue needs, and about what a dive of 0.07 m balls shows within 8 m.
-JUDGED_PX = 10.0  # balls from this radius on
-FOUND_SHARE = 0.9  # of them, in each colour
-RADIUS_ERROR = 0.05  # their median, share of the radius
-
-
-class Settings(Struct, frozen=True, kw_only=True):
-    """What can be asked."""
-
-    folder: Path
 
 
 class Outcome(NamedTuple):
     """One marked ball, and what was found of it."""
 
-    file: str
     marked: MarkedBall
     ball: Ball | None  # None: missed
 
@@ -133,55 +114,11 @@ class Outcome(NamedTuple):
 class Seen(NamedTuple):
     """One picture: its marked balls with what was found of them, and what was called a ball beside."""
 
-    path: Path
     outcomes: list[Outcome]
     false: list[tuple[Colour, Ball]]
 
 
-class Result(ExperimentResult, frozen=True, kw_only=True):
-    """Figures of each colour and radius; `missed` has the targets that are not reached."""
-
-    schema: int = 1
-    source: str = "pictures"
-    folder: str
-    pictures: int
-    balls: dict[str, Row]  # by colour: marked, found, radius_error_median
-    false: int
-    by_radius: list[Row]  # the same by colour and stretch of marked radius
-    within_sigma: list[float] | None  # share of found balls whose radius is within 1, 2, 3 of its stated sigma
-    missed: list[str]
-    cases: list[Row]  # each marked ball, and each false one
-    shown: list[Seen]
-
-    @property
-    def failed(self) -> bool:
-        return bool(self.missed)
-
-
-def run(settings: Settings, progress: Progress) -> Result:
-    """Search every picture for every colour; progress counts pictures. Raises ConfigError for what cannot be read."""
-    pictures = marked_pictures(settings.folder)
-    step = step_by_step(progress, len(pictures))
-    seen = []
-    for path, marked in pictures:
-        seen.append(look(path, read_picture(path), marked))
-        step()
-    outcomes = [one for picture in seen for one in picture.outcomes]
-    false = sum(len(picture.false) for picture in seen)
-    return Result(
-        folder=str(settings.folder),
-        pictures=len(seen),
-        balls={colour: rates([one for one in outcomes if one.marked.colour == colour]) for colour in COLOURS},
-        false=false,
-        by_radius=by_radius(outcomes),
-        within_sigma=within_sigma(outcomes),
-        missed=missed(outcomes, false),
-        cases=[row for picture in seen for row in rows(picture)],
-        shown=seen,
-    )
-
-
-def look(path: Path, image: Image, marked: Sequence[MarkedBall]) -> Seen:
+def look(image: Image, marked: Sequence[MarkedBall]) -> Seen:
     """One picture, searched for each colour."""
     camera = pinhole(image.shape[1], image.shape[0])
     outcomes: list[Outcome] = []
@@ -190,10 +127,10 @@ def look(path: Path, image: Image, marked: Sequence[MarkedBall]) -> Seen:
         own = [ball for ball in marked if ball.colour == colour]
         balls = find_balls(image, camera, colour=colour)[: max(len(own), 1)]  # an agent takes the most convincing
         taken = matches(own, balls)
-        outcomes += [Outcome(path.name, one, taken.get(k)) for k, one in enumerate(own)]
+        outcomes += [Outcome(one, taken.get(k)) for k, one in enumerate(own)]
         excused = [ball for ball in marked if ball.colour == colour or {ball.colour, colour} <= ALIKE]
         false += [(colour, ball) for ball in balls if not any(distance(one, ball) <= 1.0 for one in excused)]
-    return Seen(path, outcomes, false)
+    return Seen(outcomes, false)
 
 
 def pinhole(width_px: int, height_px: int) -> CameraFit:
@@ -219,143 +156,93 @@ def matches(marked: Sequence[MarkedBall], balls: Sequence[Ball]) -> dict[int, Ba
     return {k: balls[n] for k, n in taken.items()}
 
 
-def relative_error(one: Outcome) -> float:
-    """|r - r_true| / r_true of a ball that was found."""
-    assert one.ball is not None
-    return abs(one.ball.radius_px - one.marked.radius_px) / one.marked.radius_px
+# --- the claim ---
+# A target: what the size cue needs, and about what a dive of 0.07 m balls shows within 8 m.
+
+JUDGED_PX = 10.0  # balls from this radius on
 
 
-def rates(outcomes: Sequence[Outcome]) -> Row:
-    """How many of them were found, and how exactly."""
-    errors = [relative_error(one) for one in outcomes if one.ball]
-    median = float(np.median(errors)) if errors else None
-    return {"marked": len(outcomes), "found": len(errors), "radius_error_median": median}
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """What can be asked."""
+
+    folder: str = ""  # of pictures, with a truth.csv
 
 
-def by_radius(outcomes: Sequence[Outcome]) -> list[Row]:
-    """Figures of each colour in each stretch of marked radius that has any."""
-    table = []
-    for colour in COLOURS:
-        for low, high in CLASSES_PX:
-            group = [o for o in outcomes if o.marked.colour == colour and low <= o.marked.radius_px < high]
-            if group:
-                radius_px = [low, None if math.isinf(high) else high]
-                table.append({"colour": colour, "radius_px": radius_px, **rates(group)})
-    return table
+def run(seed: int, case: str, settings: Settings) -> list[Row]:
+    """A row for each picture. Raises ConfigError for what cannot be read."""
+    if not settings.folder:
+        raise ConfigError("experiment detection-pictures: no pictures; give their folder, --set folder=DIR")
+    rows = []
+    for path, marked in marked_pictures(Path(settings.folder)):
+        seen = look(read_picture(path), marked)
+        balls = [row_of(one) for one in seen.outcomes]
+        rows.append({"file": path.name, "balls": balls, "false": [[colour, *_found(b)] for colour, b in seen.false]})
+    return rows
 
 
-def within_sigma(outcomes: Sequence[Outcome]) -> list[float] | None:
-    """Shares of the found balls whose radius errs by no more than 1, 2, 3 of its sigma, the marking's beside it."""
-    ratios = [
-        abs(one.ball.radius_px - one.marked.radius_px) / math.hypot(one.ball.radius_sigma_px, one.marked.tolerance_px)
-        for one in outcomes
-        if one.ball
-    ]
-    return [float(np.mean(np.array(ratios) <= k)) for k in (1, 2, 3)] if ratios else None
-
-
-def missed(outcomes: Sequence[Outcome], false: int) -> list[str]:
-    """Targets that are not reached, in words."""
-    lines = [f"{false} called a ball and none"] if false else []
-    for colour in COLOURS:
-        group = [one for one in outcomes if one.marked.colour == colour and one.marked.radius_px >= JUDGED_PX]
-        got = rates(group)
-        if got["found"] < FOUND_SHARE * got["marked"]:
-            lines.append(f"{colour}: {got['found']} of {got['marked']} from {JUDGED_PX:g} px radius found")
-        if got["found"] and got["radius_error_median"] > RADIUS_ERROR:
-            lines.append(f"{colour}: radius off by {100 * got['radius_error_median']:.1f} % in the median")
-    return lines
-
-
-def rows(seen: Seen) -> list[Row]:
-    """What happened in one picture, as result.json has it."""
-    table = [
-        {"file": one.file, "colour": one.marked.colour, "marked": _circle(one.marked), "found": _found(one.ball)}
-        for one in seen.outcomes
-    ]
-    false = [{"file": seen.path.name, "colour": colour, "marked": None, "found": _found(b)} for colour, b in seen.false]
-    return table + false
+def row_of(one: Outcome) -> Row:
+    """A marked ball: what was found of it, how far its radius is off, and that in its stated sigma."""
+    marked, ball = one
+    row: Row = {"colour": marked.colour, "marked": _circle(marked), "found": None}
+    if ball:
+        off_px = abs(ball.radius_px - marked.radius_px)
+        row["found"] = _found(ball)
+        row["radius_percent"] = 100.0 * off_px / marked.radius_px
+        row["sigmas"] = off_px / math.hypot(ball.radius_sigma_px, marked.tolerance_px)
+    return row
 
 
 def _circle(ball: MarkedBall | Ball) -> list[float]:
     return [round(value, 2) for value in (*ball.centre_px, ball.radius_px)]
 
 
-def _found(ball: Ball | None) -> list[float] | None:
+def _found(ball: Ball) -> list[float]:
     """u, v, radius, its sigma, score."""
-    return None if ball is None else [*_circle(ball), round(ball.radius_sigma_px, 2), round(ball.score, 3)]
+    return [*_circle(ball), round(ball.radius_sigma_px, 2), round(ball.score, 3)]
 
 
-# --- table ---
+def summary(rows: Rows) -> dict[str, Value]:
+    """Of the colours and sizes that are marked."""
+    figures: dict[str, Value] = {"false": float(sum(len(row["false"]) for row in rows["all"]))}
+    balls = [ball for row in rows["all"] for ball in row["balls"]]
+    for colour in COLOURS:
+        large, small = (
+            [ball for ball in balls if ball["colour"] == colour and (ball["marked"][2] >= JUDGED_PX) is of_size]
+            for of_size in (True, False)
+        )
+        for key, group in ((f"{colour}_found", large), (f"{colour}_small_found", small)):
+            if group:
+                figures[key] = Share(sum(ball["found"] is not None for ball in group), len(group))
+        if any(ball["found"] for ball in large):
+            off = [ball["radius_percent"] for ball in large if ball["found"]]
+            figures[f"{colour}_radius_percent"] = Quantile(off, 50.0)
+    sigmas = [ball["sigmas"] for ball in balls if ball["found"]]
+    if sigmas:
+        figures |= {f"within_{k}_sigma": Share(sum(one <= k for one in sigmas), len(sigmas)) for k in (1, 2, 3)}
+    return figures
 
 
-def table(result: Result) -> Group:
-    """A line for each colour and stretch of radius, what was false, and which targets are missed."""
-    shown = Table(title=f"{result.folder}: {result.pictures} pictures, each searched for every colour")
-    for column in ("ball", "radius px", "found", "radius error, median"):
-        shown.add_column(column, justify="left" if column == "ball" else "right")
-    for row in result.by_radius:
-        shown.add_row(row["colour"], _stretch(row), f"{row['found']}/{row['marked']}", _percent(row))
-    lines = [f"called a ball and none: {result.false} in {result.pictures} pictures"]
-    if result.within_sigma is not None:
-        shares = " / ".join(f"{100 * share:.0f} %" for share in result.within_sigma)
-        lines.append(f"radius within 1 / 2 / 3 of its stated sigma: {shares}")
-    lines += [f"missed: {text}" for text in result.missed] or [f"targets kept: {_kept(result)}"]
-    return Group(shown, *lines)
-
-
-def _kept(result: Result) -> str:
-    """What a folder has shown: of balls nothing where none is marked that large."""
-    if not any(row["radius_px"][0] >= JUDGED_PX for row in result.by_radius):
-        return f"none false; no ball from {JUDGED_PX:g} px radius on is marked, so nothing is said of found ones"
-    found, radius = f"found {100 * FOUND_SHARE:.0f} %", f"radius within {100 * RADIUS_ERROR:.0f} %"
-    return f"{found} from {JUDGED_PX:g} px on, {radius}, none false"
-
-
-def _stretch(row: Row) -> str:
-    low, high = row["radius_px"]
-    return f"{low:g} and more" if high is None else f"{low:g} to {high:g}"
-
-
-def _percent(row: Row) -> str:
-    return "-" if row["radius_error_median"] is None else f"{100 * row['radius_error_median']:.1f} %"
-
-
-# --- figures ---
-# Pictures with circles: white where a marked ball was found, red where one was missed, yellow where there is none.
-
-SHEET_COLUMNS, ROWS = 4, 4  # of a sheet
-TILE_PX = (400, 300)  # width, height
-FOUND, MISSED, FALSE = (255, 255, 255), (0, 0, 255), (0, 255, 255)  # blue green red
-
-
-def figures(result: Result) -> Figures:
-    """Sheets of all pictures with something to show: a marked ball, or one where there is none."""
-    worth = [seen for seen in result.shown if seen.outcomes or seen.false]
-    for number, start in enumerate(range(0, len(worth), SHEET_COLUMNS * ROWS), start=1):
-        yield f"sheet_{number:03d}.png", _sheet(worth[start : start + SHEET_COLUMNS * ROWS])
-
-
-def _sheet(pictures: Sequence[Seen]) -> Figure:
-    width, height = TILE_PX
-    canvas = np.zeros((height * -(-len(pictures) // SHEET_COLUMNS), width * SHEET_COLUMNS, 3), np.uint8)
-    for k, seen in enumerate(pictures):
-        top, left = height * (k // SHEET_COLUMNS), width * (k % SHEET_COLUMNS)
-        tile = _tile(seen)
-        canvas[top : top + tile.shape[0], left : left + tile.shape[1]] = tile
-    figure = Figure(figsize=(canvas.shape[1] / 100, canvas.shape[0] / 100), dpi=100)
-    figure.figimage(canvas[..., ::-1])
-    return figure
-
-
-def _tile(seen: Seen) -> NDArray[np.uint8]:
-    """One picture, made to fit, with its circles and its name."""
-    image = read_picture(seen.path)
-    scale = min(TILE_PX[0] / image.shape[1], TILE_PX[1] / image.shape[0])
-    tile = np.asarray(cv2.resize(image, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
-    circles = [(one.ball or one.marked, FOUND if one.ball else MISSED) for one in seen.outcomes]
-    for ball, colour in circles + [(ball, FALSE) for _, ball in seen.false]:
-        u, v = (round(scale * at) for at in ball.centre_px)
-        cv2.circle(tile, (u, v), max(round(scale * ball.radius_px) + 2, 3), colour, 1, cv2.LINE_AA)
-    cv2.putText(tile, seen.path.name, (4, 12), cv2.FONT_HERSHEY_SIMPLEX, 0.4, FOUND, 1, cv2.LINE_AA)
-    return tile
+CLAIM = Claim(
+    run=run,
+    summary=summary,
+    settings=Settings,
+    measured_on="real pictures",
+    figures=(
+        *(
+            figure
+            for colour in COLOURS
+            for figure in (
+                Figure(f"{colour}_found", f"{colour} balls of 10 px radius and more: found", "%", least=90.0),
+                Figure(f"{colour}_radius_percent", f"{colour}: radius off, median", "%", most=5.0),
+                Figure(f"{colour}_small_found", f"{colour} balls below 10 px: found", "%"),
+            )
+        ),
+        Figure("false", "called a ball, and none: in all pictures", "", most=0.0),
+        *(Figure(f"within_{k}_sigma", f"radius within {k} of its stated sigma", "%") for k in (1, 2, 3)),
+    ),
+    exact=True,
+    explanation="""Every picture of a folder is searched for balls of every colour. Found is what lies within a fifth of
+        the marked radius, in centre and in radius; all else that is called a ball is false. Intervals say what so few
+        balls leave open: 29 of a colour, all of them found, show that nine tenths are. The rows have every ball: marked
+        are u, v and radius, found are u, v, radius, its sigma and the score.""",
+)

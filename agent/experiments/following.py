@@ -1,30 +1,23 @@
 """Can robots follow a target that swims, and what does it help that they talk and that they swim?
 
-Each case is dived for many seeds; a seed is a world of its own: bodies, gimbals, survey, pull, the target's way, weeds,
-and words that are lost. Closed loop with the kernel's agents, on the twin's bodies under the board's own firmware, with
-drawn frames.
+A seed is a world of its own: bodies, gimbals, survey, pull, the target's way, weeds, and words that are lost. All
+fleets dive in the same worlds, once at each speed of the target. Closed loop with the kernel's agents, on the twin's
+bodies under the board's own firmware, with drawn frames.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
-from matplotlib.figure import Figure
-from rich.console import Group
-from rich.table import Table
 
-from agent.core.config import ConfigError
-from agent.experiments.experiment import ExperimentResult, Figures, FollowingPolicy, Row, Task, all_draws
-from agent.experiments.following_dive import FLEET, WATCH_S, Case, Draw, all_cases, dive
-from agent.experiments.navigation.basin import TANK
-from agent.process.command import Progress
+from agent.experiments.claim import Claim, Figure, Row, Rows, Value, percentile
+from agent.experiments.following_dive import WATCH_S, Case, Draw, dive
 
-# --- figures of a case: which robots saw it, how well it was known, how soon a robot that lost it had it again ---
+# --- what is counted of a dive: which robots saw it, how well it was known, how soon a robot that lost it had it again
 
 LOST_S = 0.4  # not seen for longer: lost, as the kernel has it (pursuit.LOST_NS)
 FRAME_S = 0.1
@@ -35,49 +28,34 @@ class Again(NamedTuple):
     """One time that a robot lost it."""
 
     t_s: float  # when it was in sight again, or lost with nothing in between
-    seconds: float  # from then until it was seen; as long as was watched, where it was not
-    seen: bool  # at all
+    seconds: float | None  # from then until it was seen; None: not by the end
     by_others: bool  # others saw it then
 
 
-def row_of(case: Case, draws: Sequence[Draw]) -> Row:
-    """A row of result.json."""
-    seen = {key: float(np.mean([share(draw)[key] for draw in draws])) for key in SHARES}
-    error_m = np.concatenate([draw.error_m[draw.watched :].ravel() for draw in draws])
-    nees = np.concatenate([draw.nees[draw.watched :].ravel() for draw in draws])
-    again = [one for draw in draws for one in losses(draw)]
-    round_about = [one for draw in draws for one in losses(draw, any_side=True)]
-    told = case.robots > 1 and case.policy != "silent"
-    with_others = [one for one in again if told and one.by_others]
-    alone = [one for one in again if not (told and one.by_others)]
-    return {
-        **case._asdict(),
-        **seen,
-        "rms_mm": _number(1e3 * math.sqrt(np.nanmean(error_m**2)) if np.isfinite(error_m).any() else math.nan),
-        "nees": _number(float(np.nanmean(nees)) if np.isfinite(nees).any() else math.nan),
-        "reacquire_p95_s": p95(with_others if told else alone),
-        "losses": len(with_others if told else alone),
-        "reacquire_any_side_p95_s": p95([one for one in round_about if one.by_others or not told]),
-        "reacquire_alone_p95_s": p95(alone),
-        "losses_alone": len(alone),
-        "known": float(np.mean(np.isfinite(error_m))),
-        "least_m": min((least_m(draw) for draw in draws), default=math.inf) if case.robots > 1 else None,
-    }
-
-
-SHARES = ("seen_by_one", "seen_by_two", "seen_each")
-
-
-def share(draw: Draw) -> Row:
-    """Of the frames of the watch. seen_each leaves out what a covered camera would have seen; where only one robot is,
-    so do the others."""
+def row_of(case: Case, draw: Draw) -> Row:
+    """Counts and sums of the watch, which add up over dives. Where only one robot is, or robots say nothing of the
+    target, it does not matter what others see: all times are those of a robot alone."""
     sees, open_eyes = draw.sees[draw.watched :], ~draw.covered[draw.watched :]
-    some = open_eyes.any(axis=1)
-    at_once = sees.sum(axis=1)[some]
+    at_once = sees.sum(axis=1)[open_eyes.any(axis=1)]
+    error_m, nees = draw.error_m[draw.watched :], draw.nees[draw.watched :]
+    told = case.robots > 1 and case.policy != "silent"
+    again = losses(draw)
+    alone_s = [one.seconds for one in again if not (told and one.by_others)]
     return {
-        "seen_by_one": float(np.mean(at_once >= 1)),
-        "seen_by_two": float(np.mean(at_once >= 2)),
-        "seen_each": float(np.mean(sees[open_eyes])),
+        "frames": len(at_once),
+        "by_one": int(np.sum(at_once >= 1)),
+        "by_two": int(np.sum(at_once >= 2)),
+        "open_eyes": int(open_eyes.sum()),  # what a covered camera would have seen does not count
+        "seen": int(sees[open_eyes].sum()),
+        "error_m2": float(np.nansum(error_m**2)),
+        "errors": int(np.isfinite(error_m).sum()),
+        "beliefs": error_m.size,  # a robot that does not know has no error
+        "nees": float(np.nansum(nees)),
+        "nees_of": int(np.isfinite(nees).sum()),
+        "again_s": [one.seconds for one in again if one.by_others] if told else alone_s,
+        "again_any_side_s": [one.seconds for one in losses(draw, any_side=True) if one.by_others or not told],
+        "again_alone_s": alone_s,
+        "least_m": draw.least_m if case.robots > 1 else None,
     }
 
 
@@ -91,273 +69,147 @@ def losses(draw: Draw, any_side: bool = False) -> list[Again]:
         for i, t_s in enumerate(draw.t_s):
             lost = t_s - last > LOST_S + 0.5 * FRAME_S
             if draw.sees[i, k]:
-                if since is not None and lost:
-                    found.append(_again(draw, k, since, float(t_s), seen=True))
+                if since is not None and lost and t_s >= draw.t_s[draw.watched]:
+                    found.append(_again(draw, k, since, float(t_s)))
                 last, since = t_s, None
             elif not could[i]:
                 since = None
             elif since is None:
                 since = i
         if since is not None and draw.t_s[-1] - last > LOST_S:
-            found.append(_again(draw, k, since, float(draw.t_s[-1]), seen=False))
-    return [one for one in found if one.t_s + one.seconds >= draw.t_s[draw.watched]]
-
-
-def _again(draw: Draw, k: int, since: int, until_s: float, seen: bool) -> Again:
-    before = max(since - round(ALONE_S / FRAME_S), 0)
-    others = np.delete(draw.sees[before : since + 1], k, axis=1)
-    t_s = float(draw.t_s[since])
-    return Again(t_s, round(until_s - t_s, 3), seen, bool(others.any()))  # whole frames, whatever is rounded off
-
-
-def p95(again: Sequence[Again]) -> float | None:
-    """The smallest time that at least 95 % keep. One that was cut off by the end counts as never; None: no robot lost
-    it, or the figure is never."""
-    ordered = sorted(one.seconds if one.seen else math.inf for one in again)
-    if not ordered:
-        return None
-    return _number(ordered[-(-95 * len(ordered) // 100) - 1])
-
-
-def least_m(draw: Draw) -> float:
-    """Least distance of any two robots, m."""
-    at = draw.robots[:, :, :2]
-    apart = np.linalg.norm(at[:, :, None] - at[:, None], axis=3)[:, *np.triu_indices(at.shape[1], 1)]
-    return float(apart.min())
-
-
-def _number(value: float) -> float | None:
-    return value if math.isfinite(value) else None
-
-
-# --- targets: of three robots that share, at each speed, and what lost words may cost them ---
-
-
-class Bar(NamedTuple):
-    """A figure of a case, and where it has to lie; None: no limit."""
-
-    key: str
-    least: float | None
-    most: float | None
-    words: str
-
-
-class Verdict(NamedTuple):
-    """Of one case. value and met: None where there is no number, which misses a bar, or the case was not run."""
-
-    bar: Bar
-    case: Row
-    value: float | None
-    met: bool
-
-
-BARS = (
-    Bar("seen_by_one", 0.99, None, "one or more see it"),
-    Bar("seen_by_two", 0.95, None, "two or more see it"),
-    Bar("seen_each", 0.88, None, "each sees it"),
-    Bar("rms_mm", None, 25.0, "the fleet's track, mm rms"),
-    Bar("nees", 2.5, 3.5, "its normalised error squared"),
-    Bar("reacquire_p95_s", None, 0.3, "seen again, others see it, s"),
-    Bar("reacquire_alone_p95_s", None, 1.0, "seen again, nobody sees it, s"),
-)
-COSTS = Bar("rms_mm", None, 1.10, "error with 30 % of words lost, times that without loss")
-
-
-def verdicts(cases: Sequence[Row]) -> list[Verdict]:
-    """Of three robots that share: against all targets where they lose no words, against COSTS where they lose some. A
-    fleet that never loses the fish has no target for finding it again."""
-    found = []
-    for case in cases:
-        if case["policy"] != "share" or case["robots"] != FLEET:
-            continue
-        if not case["loss"]:
-            found += [
-                Verdict(bar, case, case[bar.key], _meets(bar, case[bar.key])) for bar in BARS if _asked(bar, case)
-            ]
-            continue
-        free = [one for one in cases if _without_loss(one, case)]
-        if free:
-            value = None if None in (case["rms_mm"], free[0]["rms_mm"]) else case["rms_mm"] / free[0]["rms_mm"]
-            found.append(Verdict(COSTS, case, value, _meets(COSTS, value)))
+            found.append(_again(draw, k, since, None))
     return found
 
 
-def _asked(bar: Bar, case: Row) -> bool:
-    of = {"reacquire_p95_s": "losses", "reacquire_alone_p95_s": "losses_alone"}.get(bar.key)
-    return of is None or case[of] > 0
+def _again(draw: Draw, k: int, since: int, seen_s: float | None) -> Again:
+    before = max(since - round(ALONE_S / FRAME_S), 0)
+    others = np.delete(draw.sees[before : since + 1], k, axis=1)
+    t_s = float(draw.t_s[since])
+    seconds = None if seen_s is None else round(seen_s - t_s, 3)  # whole frames, whatever is rounded off
+    return Again(t_s, seconds, bool(others.any()))
 
 
-def _without_loss(one: Row, case: Row) -> bool:
-    return not one["loss"] and all(one[key] == case[key] for key in ("policy", "robots", "speed_m_s"))
+def figures_of(dives: Sequence[Row]) -> dict[str, float | None]:
+    """Of all dives of one case at one speed. Frames of one dive are much alike: a share of them is known as well as
+    seeds tell, and is no Share. A fleet that never loses the target has it again at once."""
+    total = {key: sum(row[key] for row in dives) for key in SUMS}
+    found: dict[str, float | None] = {
+        "by_one": 1e2 * total["by_one"] / total["frames"],
+        "by_two": 1e2 * total["by_two"] / total["frames"],
+        "each": 1e2 * total["seen"] / total["open_eyes"],
+        "known": 1e2 * total["errors"] / total["beliefs"],
+        "rms_mm": 1e3 * math.sqrt(total["error_m2"] / total["errors"]) if total["errors"] else None,
+        "nees": total["nees"] / total["nees_of"] if total["nees_of"] else None,
+    }
+    for key in ("again_s", "again_any_side_s", "again_alone_s"):
+        times_s = [seconds for row in dives for seconds in row[key]]
+        found[key] = percentile(times_s, 95.0) if times_s else 0.0
+    least_m = [row["least_m"] for row in dives if row["least_m"] is not None]
+    return found | ({"least_m": min(least_m)} if least_m else {})
 
 
-def _meets(bar: Bar, value: float | None) -> bool:
-    return value is not None and (bar.least is None or value >= bar.least) and (bar.most is None or value <= bar.most)
+SUMS = ("frames", "by_one", "by_two", "open_eyes", "seen", "error_m2", "errors", "beliefs", "nees", "nees_of")
 
+# --- the claim ---
 
-# --- the experiment ---
+SPEEDS_M_S = (0.10, 0.15, 0.20)  # of the target
+LOST = 0.3  # of all words, where some are lost
 
-ENOUGH = 20  # seeds
-WORLDS = 1000  # of one --seed
-COST = 7  # CPU seconds of a robot in a draw, about
+CASES = {
+    "share-1": Case("share", 1),
+    "share-2": Case("share", 2),
+    "share-2-loss30": Case("share", 2, LOST),
+    "share-3": Case("share", 3),
+    "share-3-loss30": Case("share", 3, LOST),
+    "share-5": Case("share", 5),
+    "share-5-loss30": Case("share", 5, LOST),
+    "silent-3": Case("silent", 3),
+    "moored-3": Case("moored", 3),
+}
+TARGETS = ("share-3", "share-3-loss30")  # cases that have any
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """What can be asked."""
 
-    seed: int = 0  # the first of the worlds
-    seeds: int = ENOUGH
-    only: FollowingPolicy | None = None  # this policy; none: all
-    robots: int | None = None  # fleets of that size; none: all
-
-    def __post_init__(self) -> None:
-        if not all_cases(self.only, self.robots):
-            raise ConfigError("no such case: share has 1, 2, 3 or 5 robots, silent and moored have 3")
+    speed_m_s: float | None = None  # of the target; None: each of SPEEDS_M_S
+    watch_s: float = WATCH_S  # after 20 s in which robots search
 
 
-class Result(ExperimentResult, frozen=True, kw_only=True):
-    """A row for each case (`row_of`)."""
-
-    cases: list[Row]
-    shown: Shown
-
-    @property
-    def failed(self) -> bool:
-        return self.shown.verdict and any(verdict.met is False for verdict in verdicts(self.cases))
+def run(seed: int, case: str, settings: Settings) -> list[Row]:
+    """A row for each speed. Raises Failed where a firmware hangs."""
+    of = CASES[case]
+    speeds_m_s = SPEEDS_M_S if settings.speed_m_s is None else (settings.speed_m_s,)
+    dives = {speed_m_s: dive(of, speed_m_s, seed, settings.watch_s) for speed_m_s in speeds_m_s}
+    return [{"speed_m_s": speed_m_s, **row_of(of, draw)} for speed_m_s, draw in dives.items()]
 
 
-class Shown(NamedTuple):
-    """Beside result.json."""
-
-    draws: dict[Case, list[Draw]]
-    verdict: bool  # seeds enough for one
-
-
-def run(settings: Settings, progress: Progress) -> Result:
-    """Dive all cases on all processors; progress counts seconds of work. Raises Failed where a firmware hangs."""
-    chosen = all_cases(settings.only, settings.robots)
-    first = WORLDS * settings.seed
-    tasks = [Task(partial(worlds, case, first), settings.seeds, COST * case.robots, 1) for case in chosen]
-    draws = dict(zip(chosen, all_draws(tasks, progress), strict=True))
-    rows = [row_of(case, of) for case, of in draws.items()]
-    return Result(cases=rows, shown=Shown(draws, settings.seeds >= ENOUGH))
-
-
-def worlds(case: Case, world: int, first: int, last: int, watch_s: float = WATCH_S) -> list[Draw]:
-    """The draws of worlds from the first to the last, the latter excluded, counted from `world`."""
-    return [dive(case, world + k, watch_s) for k in range(first, last)]
+def summary(rows: Rows) -> dict[str, Value]:
+    """Keys are case, speed and figure; `cost` is the error where words are lost, of that where none are."""
+    found: dict[tuple[str, float], dict[str, float | None]] = {}
+    for case, dives in rows.items():
+        for speed_m_s in {row["speed_m_s"] for row in dives}:
+            found[case, speed_m_s] = figures_of([row for row in dives if row["speed_m_s"] == speed_m_s])
+    for (case, speed_m_s), of_case in found.items():
+        free = found.get((case.removesuffix("-loss30"), speed_m_s), of_case)
+        if free is not of_case:
+            lossy_mm, free_mm = of_case["rms_mm"], free["rms_mm"]
+            of_case["cost"] = None if lossy_mm is None or free_mm is None else lossy_mm / free_mm
+    return {
+        f"{case}_{speed_m_s:.2f}_{key}": value
+        for (case, speed_m_s), of_case in found.items()
+        for key, value in of_case.items()
+    }
 
 
-# --- tables ---
+def _figures() -> list[Figure]:
+    """Of each case at each speed; three that share have the targets."""
+    count = {1: "one", 2: "two", 3: "three", 5: "five"}
+    found = []
+    for name, case in CASES.items():
+        who = f"{count[case.robots]} {case.policy}" + (f", {100 * LOST:.0f} % of words lost" if case.loss else "")
+        for speed_m_s in SPEEDS_M_S:
+            for figure in _told(name, case):
+                key, words = f"{name}_{speed_m_s:.2f}_{figure.key}", f"{who}, {speed_m_s:.2f} m/s: {figure.words}"
+                found.append(figure._replace(key=key, words=words))
+    return found
 
-COLUMNS = (
-    ("seen_by_one", "by one"),
-    ("seen_by_two", "by two"),
-    ("seen_each", "each"),
-    ("known", "known"),
-    ("rms_mm", "rms mm"),
-    ("nees", "NEES"),
-    ("reacquire_p95_s", "again s"),
-    ("reacquire_any_side_p95_s", "any side s"),
-    ("reacquire_alone_p95_s", "alone s"),
-    ("least_m", "least m"),
+
+def _told(name: str, case: Case) -> list[Figure]:
+    figures = [
+        Figure("by_one", "one or more see it", "%", least=99.0),
+        Figure("by_two", "two or more see it", "%", least=95.0),
+        Figure("each", "each sees it", "%", least=88.0),
+        Figure("known", "each knows where it is", "%"),
+        Figure("rms_mm", "where they believe it to be is off, rms", "mm", most=25.0),
+        Figure("nees", "its error as it says: NEES", "", least=2.5, most=3.5),
+        Figure("again_s", "lost, and seen again while others see it, 95 %", "s", most=0.3),
+        Figure("again_alone_s", "lost, and seen again while nobody sees it, 95 %", "s", most=1.0),
+        Figure("again_any_side_s", "the same while others see it, also where the body has to turn first", "s"),
+        Figure("least_m", "least distance of any two robots", "m"),
+    ]
+    if name == "share-3":
+        return figures
+    bare = [figure._replace(least=None, most=None) for figure in figures]
+    if case.loss:
+        most = 1.10 if name in TARGETS else None
+        bare.insert(0, Figure("cost", "error, of that where no words are lost", "x", most=most))
+    few = ("by_two", "again_any_side_s", "least_m") if case.robots == 1 else ()
+    return [figure for figure in bare if figure.key not in few]
+
+
+CLAIM = Claim(
+    run=run,
+    summary=summary,
+    settings=Settings,
+    cases=tuple(CASES),
+    by_default=TARGETS,
+    quick={"speed_m_s": 0.15, "watch_s": 5.0},
+    measured_on="twin",
+    figures=tuple(_figures()),
+    explanation="""Robots search a basin with weeds for a fish, find it in their own drawn frames as bearings, and
+        follow it; for some seconds one camera is covered. Robots that share tell each other what they see, the silent
+        say only where they are themselves, and the moored cannot swim. A robot that lost the fish is asked for it from
+        when it is in sight again; NEES is the error squared in units of the stated covariance, 3 where it is
+        honest.""",
 )
-COLUMN_SHARES = ("seen_by_one", "seen_by_two", "seen_each", "known")
-
-
-def table(result: Result) -> Group:
-    parts: list[Table | str] = [cases_table(result.cases)]
-    if verdicts(result.cases):
-        parts.append(bars_table(result.cases))
-    if not result.shown.verdict:
-        parts.append(f"no verdict: the bars are for {ENOUGH} seeds")
-    return Group(*parts)
-
-
-def cases_table(cases: list[Row]) -> Table:
-    shown = Table(title="robots that follow a target that swims (twin's bodies, drawn frames; no water was involved)")
-    for head in ("policy", "robots", "loss", "m/s", *(words for _, words in COLUMNS)):
-        shown.add_column(head, justify="left" if head == "policy" else "right")
-    for case in cases:
-        named = case["policy"], str(case["robots"]), f"{case['loss']:.0%}", f"{case['speed_m_s']:.2f}"
-        shown.add_row(*named, *(_figure(key, case[key]) for key, _ in COLUMNS))
-    return shown
-
-
-def bars_table(cases: list[Row]) -> Table:
-    shown = Table(title="three robots that share")
-    for head in ("what", "m/s", "loss", "measured", "bar", "met"):
-        shown.add_column(head, justify="left" if head == "what" else "right")
-    for bar, case, value, met in verdicts(cases):
-        measured, where = (
-            "none" if value is None else f"{value:.3g}",
-            (f"{case['speed_m_s']:.2f}", f"{case['loss']:.0%}"),
-        )
-        shown.add_row(bar.words, *where, measured, _asked_text(bar), "yes" if met else "no")
-    return shown
-
-
-def _asked_text(bar: Bar) -> str:
-    if bar.least is None:
-        return f"<= {bar.most:g}"
-    return f">= {bar.least:g}" if bar.most is None else f"{bar.least:g} to {bar.most:g}"
-
-
-def _figure(key: str, value: float | None) -> str:
-    if value is None:
-        return "-"
-    return f"{value:.1%}" if key in COLUMN_SHARES else f"{value:.3g}"
-
-
-# --- figures ---
-
-
-def figures(result: Result) -> Figures:
-    """How soon a robot that lost it has it again, and one fleet's dive; each as SVG and PNG."""
-    draws = result.shown.draws
-    drawn = {"following_again": again(draws)}
-    for case, of in draws.items():
-        worst = min(of, key=lambda draw: share(draw)["seen_each"])
-        name = f"following_{case.policy}_{case.robots}_{100 * case.loss:.0f}_{100 * case.speed_m_s:.0f}"
-        drawn[name] = one_dive(case, worst)
-    for name, figure in drawn.items():
-        for suffix in ("svg", "png"):
-            yield f"{name}.{suffix}", figure
-
-
-def again(draws: dict[Case, list[Draw]]) -> Figure:
-    """Share of the losses after which it was seen again by then, of all speeds together."""
-    drawn = Figure(figsize=(6.4, 4.0), dpi=120, layout="constrained")
-    panel = drawn.subplots()
-    for key in dict.fromkeys((case.policy, case.robots, case.loss) for case in draws):
-        every = [one for case, of in draws.items() if case[:3] == key for draw in of for one in losses(draw)]
-        for by_others, words in ((True, "others see it"), (False, "nobody else")):
-            seconds = sorted(one.seconds for one in every if one.by_others == by_others and one.seen)
-            count = sum(one.by_others == by_others for one in every)
-            if count:
-                label = f"{key[0]}, {key[1]} robots, loss {key[2]:.0%}, {words} ({count})"
-                panel.step([0.0, *seconds], np.arange(len(seconds) + 1) / count, where="post", label=label)
-    panel.set(xlabel="s from when it was in sight", ylabel="share seen again", xlim=(0.0, 5.0), ylim=(0.0, 1.02))
-    if panel.get_legend_handles_labels()[0]:
-        panel.legend(fontsize="xx-small")
-    return drawn
-
-
-def one_dive(case: Case, draw: Draw) -> Figure:
-    """The seed in which each saw least: which robots saw it when, and how far off they believed it."""
-    drawn = Figure(figsize=(9.0, 4.4), dpi=120, layout="constrained")
-    above, time = drawn.subplots(1, 2)
-    above.plot(*draw.target_m[draw.watched :, :2].T, color="black", linewidth=0.8, label="target")
-    for k in range(draw.robots.shape[1]):
-        above.plot(*draw.robots[draw.watched :, k, :2].T, linewidth=0.8, label=f"r{k + 1}")
-        when = draw.t_s[draw.sees[:, k]]
-        time.plot(when, np.full(len(when), -0.1 * (k + 1)), "|", markersize=4)
-        time.plot(draw.t_s, draw.error_m[:, k], linewidth=0.8, color=f"C{k}")
-    for weed in draw.weeds:
-        above.plot(weed.x_m, weed.y_m, "o", color="green", markersize=8)
-    above.set(xlim=(0.0, TANK.size_m[0]), ylim=(0.0, TANK.size_m[1]), aspect="equal")
-    above.legend(fontsize="x-small")
-    time.axvline(draw.t_s[draw.watched], color="grey", linewidth=0.6)
-    time.set(xlabel="s", ylabel="error, m; below: frames that show it", ylim=(-0.1 * (draw.sees.shape[1] + 1), 1.0))
-    drawn.suptitle(f"{case.policy}, {case.robots} robots, loss {case.loss:.0%}, {case.speed_m_s:g} m/s: worst seed")
-    return drawn

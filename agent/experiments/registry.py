@@ -30,10 +30,11 @@ DEMO, SWIM, FISH, LIGHT = "Finding a target together", "Robots that swim", "Foll
 WRONG, FOCUS, PICTURES, SCENE = "When something is wrong", "Distance from focus", "Pictures", "Surveys and scenes"
 BODY, NETWORK, COST = "Body and board", "Networks and people", "What it costs"
 
+# What the study of the board reads and builds.
+COUNTED = tuple(f"tests/studies/board/{name}" for name in ("count.c", "heap.txt", "prices.json", "pretended"))
+
 CLAIMS: dict[str, Entry] = {
-    "demo": Entry(
-        B + "bench_demo", "robots find a target together, as `aucamp demo` has them", DEMO, ("agent/fleets",)
-    ),
+    "demo": Entry(E + "demo", "robots find a target together, as `aucamp demo` has them", DEMO, ("agent/fleets",)),
     "localization": Entry(E + "localization.localization", "protocols against the Cramer-Rao bound", DEMO),
     "liar": Entry(S + "liar.claim", "how far robots that lie as well as they can move the others", WRONG),
     "doubt": Entry(B + "bench_doubt", "what doubting one's own places is worth", DEMO),
@@ -70,10 +71,7 @@ CLAIMS: dict[str, Entry] = {
     "scenes": Entry(E + "reconstruction.scenes", "surfaces and pictures of scenes from focus sweeps", SCENE),
     "size": Entry(E + "reconstruction.size", "time and memory against the size of a survey", SCENE),
     "orientation": Entry(E + "orientation", "push and depth step under three control laws", BODY),
-    "board": Entry(B + "bench_board", "what a control cycle takes on the board", BODY, ("hw/firmware",)),
-    "firmware": Entry(
-        B + "bench_firmware", "what the firmware's parts take, by the interpreter", BODY, ("hw/firmware",)
-    ),
+    "board": Entry(S + "board.claim", "what a control cycle takes on the board", BODY, ("hw/firmware", *COUNTED)),
     "clock": Entry(B + "bench_clock", "how fast a dive in the twin goes", BODY),
     "swarm": Entry(B + "bench_swarm", "twenty agents on one machine; a partition heals", NETWORK),
     "orders": Entry(B + "network.bench_orders", "a person stops three robots, of which one hangs", NETWORK),

@@ -68,7 +68,7 @@ class Run(msgspec.Struct, frozen=True, kw_only=True):
     processor: str
     command: str
     code: str
-    seconds_a_seed: float
+    seconds_a_seed: float  # of one core
     quick: bool = False
 
 

@@ -21,10 +21,9 @@ from agent.perception.depth_sweep import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS
 from agent.process.command import Failed, shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import PATIENCE_S, FocusRange, Frame, Image, Roi, deliverable
-from hw.twin.calibration_bench import CHESSBOARD_SIZE_M
 from hw.twin.optics.lens import Vcm, draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.optics.raycast import Chessboard, Eye, Floats
+from hw.twin.optics.raycast import Eye, Floats
 from hw.twin.scene import Scene, generator, load_scene
 
 FRAME_NS = 1_000_000_000 // 30
@@ -40,7 +39,7 @@ class TankView(msgspec.Struct, frozen=True):
 
 
 class StillCamera:
-    """The camera that robot `robot` has in world `seed`; set `view` and `board_m`, then use it as a camera.
+    """The camera that robot `robot` has in world `seed`; set `view`, then use it as a camera.
 
     It stands in the tank's scene, or in another one if `scene` is given.
     """
@@ -50,9 +49,7 @@ class StillCamera:
         scene = msgspec.structs.replace(scene or load_scene("tank"), camera=sensor)
         self.lens = draw_lens(sensor, generator(seed, robot, "lens"))
         self.size = (self.lens.width, self.lens.height)
-        self.solids = scene.solid
         self.view = TankView((0.1, 0.6, 0.25), 0.0)
-        self.board_m: float | None = None  # z-depth of a board square to the camera, in the middle of its view
         self._vcm = Vcm(self.lens, generator(seed, robot, "vcm"))
         self._painter = Painter(scene, fleet.tank, fleet.water.refractive_index, self.lens, seed, robot)
         self._now_ns, self._seq = START_NS, 0
@@ -72,7 +69,7 @@ class StillCamera:
         self._now_ns += round(settle_s * 1e9) + FRAME_NS
         self._seq += 1
         image_m = self._vcm.image_distance_m(self._now_ns, math.radians(self.view.tilt_deg))
-        image = self._painter.frame(self._eye(), image_m, chessboard=self._board(), roi=part, tick=self._seq)
+        image = self._painter.frame(self._eye(), image_m, roi=part, tick=self._seq)
         return Frame(self._now_ns, self._seq, image, part)
 
     def close(self) -> None:
@@ -80,25 +77,13 @@ class StillCamera:
 
     def truth_m(self, lens_position: float) -> Floats:
         """z-depth (height, width) of every pixel with the lens at rest at `lens_position`, metres."""
-        return self._painter.depth(self._eye(), self.lens.at_position_m(lens_position), chessboard=self._board())
+        return self._painter.depth(self._eye(), self.lens.at_position_m(lens_position))
 
     def _eye(self) -> Eye:
-        ahead, right, down = self._axes()
-        return Eye(self.view.position_m, np.stack([right, down, ahead], axis=1))
-
-    def _board(self) -> Chessboard | None:
-        if self.board_m is None:
-            return None
-        ahead, right, down = self._axes()
-        place = np.array(self.view.position_m) + self.board_m * ahead
-        return Chessboard(place, np.stack([right, -down, -ahead], axis=1), CHESSBOARD_SIZE_M)
-
-    def _axes(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Ahead, right and down of the camera, unit vectors of the world."""
         yaw, tilt = math.radians(self.view.yaw_deg), math.radians(self.view.tilt_deg)
         ahead = np.array([math.cos(yaw) * math.cos(tilt), math.sin(yaw) * math.cos(tilt), math.sin(tilt)])
         right = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
-        return ahead, right, np.cross(ahead, right)
+        return Eye(self.view.position_m, np.stack([right, np.cross(ahead, right), ahead], axis=1))
 
 
 # --- sweeps ---

@@ -1,38 +1,28 @@
-"""The following experiment in small: what is counted of a dive, and one that is dived."""
+"""What is counted of a dive that follows a target, and how dives add up."""
 
-import json
 import math
 
 import numpy as np
 import pytest
 
 from agent.core.config import Body
-from agent.experiments import following_dive as following_basin
-from agent.experiments.experiment import write_result
-from agent.experiments.following import Result, Shown, losses, row_of, share, table, verdicts
-from agent.experiments.following import figures as drawings
-from agent.experiments.following_dive import FLEET, Case, Draw, all_cases, reaches
+from agent.experiments import following_dive
+from agent.experiments.claim import measure, verdict
+from agent.experiments.following import CASES, CLAIM, figures_of, losses, row_of, summary
+from agent.experiments.following_dive import Draw, reaches
 from agent.experiments.navigation.pursuit import BODY_M, Wanderer
 from agent.experiments.navigation.swimmers import Pillar, hides
 from hw.twin.scene import generator
 
 N, WATCHED = 100, 20
-CASE = Case("share", FLEET, 0.0, 0.15)
-KEYS = {"policy", "robots", "loss", "speed_m_s", "seen_by_one", "seen_by_two", "seen_each", "rms_mm", "nees"} | {
-    "reacquire_p95_s",
-    "reacquire_any_side_p95_s",
-}
+CASE = CASES["share-3"]
 
 
 def drawn(**other) -> Draw:
     """Three robots that see it all the time, 10 mm off."""
     every, never = np.ones((N, 3), bool), np.zeros((N, 3), bool)
-    robots = np.zeros((N, 3, 3))
-    robots[:, :, 0] = 0.5, 1.2, 2.0
     draw = Draw(
         t_s=0.1 * np.arange(1, N + 1),
-        target_m=np.zeros((N, 3)),
-        robots=robots,
         sees=every.copy(),
         in_sight=every.copy(),
         in_reach=every.copy(),
@@ -41,9 +31,13 @@ def drawn(**other) -> Draw:
         error_m=np.full((N, 3), 0.010),
         nees=np.full((N, 3), 3.0),
         watched=WATCHED,
-        weeds=(),
+        least_m=0.7,
     )
     return draw._replace(**other)
+
+
+def figures(draw: Draw) -> dict:
+    return figures_of([row_of(CASE, draw)])
 
 
 def test_shares_leave_out_what_a_covered_camera_would_have_seen() -> None:
@@ -51,11 +45,8 @@ def test_shares_leave_out_what_a_covered_camera_would_have_seen() -> None:
     draw.sees[40:60, 0] = False
     draw.covered[40:60, 0] = True
     draw.sees[60:68, 1:] = False
-    assert share(draw) == {
-        "seen_by_one": 1.0,
-        "seen_by_two": pytest.approx(0.9),
-        "seen_each": pytest.approx(1.0 - 16 / 220),
-    }
+    found = figures(draw)
+    assert [found[key] for key in ("by_one", "by_two", "each")] == pytest.approx([100.0, 90.0, 100.0 * (1 - 16 / 220)])
 
 
 def test_time_to_see_it_again_counts_from_when_it_is_in_sight() -> None:
@@ -66,25 +57,20 @@ def test_time_to_see_it_again_counts_from_when_it_is_in_sight() -> None:
     draw.sees[70:90, :] = False  # nobody sees it; one looks at landmarks until 80
     draw.landmarks[70:80, 2] = True
     found = sorted(losses(draw))
-    assert [(round(one.seconds, 3), one.seen, one.by_others) for one in found] == [
-        (0.5, True, True),
-        (2.0, True, True),
-        (2.0, True, True),
-        (1.0, True, False),
-    ]
+    assert [(one.seconds, one.by_others) for one in found] == [(0.5, True), (2.0, True), (2.0, True), (1.0, False)]
     draw.sees[70:, 2] = False  # to the end: never
-    row = row_of(CASE, [draw])
-    assert row["losses"] == 3 and row["losses_alone"] == 1 and row["reacquire_alone_p95_s"] is None
+    row = row_of(CASE, draw)
+    assert row["again_s"] == [0.5, 2.0, 2.0] and row["again_alone_s"] == [None]
+    assert figures(draw)["again_alone_s"] is None and figures(drawn())["again_alone_s"] == 0.0
 
 
-def test_who_has_it_behind_is_asked_for_it_from_when_the_gimbal_reaches() -> None:
+def test_a_robot_that_has_it_behind_is_asked_for_it_from_when_the_gimbal_reaches() -> None:
     draw = drawn()
     draw.sees[30:50, 0] = False
     draw.in_reach[30:48, 0] = False
     (again,), (any_side,) = losses(draw), losses(draw, any_side=True)
     assert (again.seconds, any_side.seconds) == (0.2, 2.0)
-    row = row_of(CASE, [draw])
-    assert (row["reacquire_p95_s"], row["reacquire_any_side_p95_s"]) == (0.2, 2.0)
+    assert (figures(draw)["again_s"], figures(draw)["again_any_side_s"]) == (0.2, 2.0)
 
 
 def test_a_gimbal_reaches_what_is_ahead_and_not_what_touches_the_lens() -> None:
@@ -95,38 +81,25 @@ def test_a_gimbal_reaches_what_is_ahead_and_not_what_touches_the_lens() -> None:
     assert not reaches(body, here, (0.85, 1.0, 0.2))
 
 
-def test_bars_are_for_three_that_share() -> None:
-    fine = row_of(CASE, [drawn()])
-    assert all(verdict.met for verdict in verdicts([fine])) and fine["rms_mm"] == pytest.approx(10.0)
-    lossy = {**row_of(CASE._replace(loss=0.3), [drawn(error_m=np.full((N, 3), 0.012))])}
-    assert [verdict.met for verdict in verdicts([fine, lossy])][-1] is False
-    assert not verdicts([{**fine, "policy": "moored"}, {**fine, "robots": 5}])
-    unknown = row_of(CASE, [drawn(error_m=np.full((N, 3), np.nan), nees=np.full((N, 3), np.nan))])
-    assert {verdict.bar.key for verdict in verdicts([unknown]) if not verdict.met} == {"rms_mm", "nees"}
-
-
-def test_a_result_has_the_keys_that_are_promised(tmp_path) -> None:
-    draws = {case: [drawn()] for case in (CASE, CASE._replace(policy="silent"), CASE._replace(robots=1))}
-    result = Result(cases=[row_of(case, of) for case, of in draws.items()], shown=Shown(draws, True))
-    write_result(result, tmp_path)
-    told = json.loads((tmp_path / "result.json").read_text())
-    assert set(told) == {"cases"} and all(set(row) >= KEYS for row in told["cases"])
-    assert table(result).renderables and not result.failed
-    assert {name for name, _ in drawings(result)} >= {"following_again.svg", "following_share_3_0_15.png"}
-
-
-def test_cases_are_those_that_can_differ() -> None:
-    cases = all_cases()
-    assert len(cases) == len(set(cases)) and {case.robots for case in cases if case.policy == "share"} == {1, 2, 3, 5}
-    assert not [case for case in cases if case.loss and (case.robots == 1 or case.policy != "share")]
-    assert all_cases("moored", 3) == tuple(case for case in cases if case.policy == "moored")
+def test_dives_add_up_and_lost_words_have_their_price() -> None:
+    fine, far = ({"speed_m_s": 0.15, **row_of(CASE, drawn(error_m=np.full((N, 3), m)))} for m in (0.010, 0.020))
+    free, lossy = {0: [fine], 1: [far], 2: [fine]}, {0: [far], 1: [fine], 2: [fine]}
+    told = measure(CLAIM, {"share-3": free, "share-3-loss30": lossy})
+    assert told["share-3_0.15_rms_mm"].value == pytest.approx(math.sqrt(200.0))
+    cost = told["share-3-loss30_0.15_cost"]
+    assert cost.low < 1.0 < cost.high and cost.value == pytest.approx(1.0)
+    judged = {figure.key: verdict(figure, told[figure.key]) for figure in CLAIM.figures if figure.key in told}
+    assert judged["share-3_0.15_each"] == "met" and judged["share-3-loss30_0.15_cost"] == "not shown"
+    unknown = drawn(error_m=np.full((N, 3), np.nan), nees=np.full((N, 3), np.nan))
+    alone = summary({"share-1": [{"speed_m_s": 0.1, **row_of(CASES["share-1"], unknown)}]})
+    assert alone["share-1_0.10_rms_mm"] is alone["share-1_0.10_nees"] is None and alone["share-1_0.10_known"] == 0.0
 
 
 def test_weeds_hide_and_nothing_swims_through_them() -> None:
     weed = Pillar(1.5, 1.0, 0.1)
     assert hides(weed, (1.0, 1.0), (2.0, 1.1, 0.2)) and not hides(weed, (1.0, 1.0), (1.4, 1.0, 0.2))
     for seed in range(3):
-        pillars = following_basin.weeds(seed)
+        pillars = following_dive.weeds(seed)
         wanderer = Wanderer(generator(seed, "follow"), 0.2, 40.0, pillars)
         for k in range(400):
             x, y, _ = wanderer.at(10**18 + k * 100_000_000)

@@ -13,28 +13,7 @@ from agent.core.estimation.fuse import Opinion, fuse
 from agent.core.linear_algebra import inverse, upper
 from agent.core.messages import Epoch, Gossip
 from agent.core.trust import entry_bytes
-from agent.experiments.localization.draws import verdict
-from agent.experiments.localization.liar import (
-    CLAIM_M,
-    FIRST,
-    LAST,
-    LiarCase,
-    attacked,
-    best_lies,
-    bound_m,
-    conclusions,
-    fleet_of,
-    liar_cases,
-    told,
-)
-from agent.experiments.localization.liar_rows import (
-    TARGETS,
-    attack_draws,
-    attacked_moving,
-    bumped,
-    liar_row,
-    liar_verdicts,
-)
+from agent.experiments.claim import Quantile, Share
 from agent.experiments.localization.lockstep import (
     TARGET_M,
     Swarm,
@@ -48,6 +27,10 @@ from agent.experiments.localization.lockstep import (
     verify,
 )
 from tests.sample_messages import estimate
+from tests.studies.liar.attack import FIRST, LAST, LiarCase, attacked, bumped, told
+from tests.studies.liar.claim import CLAIM, summary
+from tests.studies.liar.moving import attacked_moving
+from tests.studies.liar.search import CLAIM_M, best_lies, bound_m, conclusions
 
 SECOND_NS = 1_000_000_000
 
@@ -141,18 +124,17 @@ def test_perfect_keys_sign_for_their_own_robot_alone() -> None:
 
 
 def test_one_of_three_lies_as_well_as_it_can_and_forges_the_others() -> None:
-    outcome = attacked(LiarCase("full", 3, 1), 0, 0)
+    outcome = attacked(LiarCase("full", 3), 0)
     assert 0.004 < outcome.moved_m < 0.022, "it does something, and not much"
     assert outcome.ratio < 1.25
     assert outcome.end_m <= outcome.moved_m
-    assert attacked(LiarCase("full", 3, 1), 0, 0) == outcome
-    assert attack_draws(LiarCase("full", 3, 2), 0, 0, 2)[0] == outcome
-    assert outcome != attack_draws(LiarCase("full", 3, 2), 0, 1, 2)[0]
+    assert attacked(LiarCase("full", 3), 0) == outcome
+    assert outcome != attacked(LiarCase("full", 3), 1)
 
 
 def test_without_signatures_one_message_would_have_moved_them_for_ever() -> None:
     """The line: whom a robot does not hear directly, the liar's forgery may speak for. So the forging is real."""
-    case = LiarCase("line", 5, 1)
+    case = LiarCase("line", 5)
     world = draw_world(5, "aniso", True, np.random.default_rng(6))
     moved = {}
     for signed in (True, False):
@@ -174,27 +156,27 @@ def forged_once(case, world, signed):
 
 
 def test_a_lie_goes_with_its_key_and_fades_where_the_truth_is_told_again() -> None:
-    gone = attacked(LiarCase("full", 3, 1, then="no key"), 0, 0)
+    gone = attacked(LiarCase("full", 3, then="no key"), 0)
     assert gone.end_m > 0.004
     assert gone.after_m[1] < 1e-4
-    again = attacked(LiarCase("full", 3, 1, then="honest"), 0, 0)
+    again = attacked(LiarCase("full", 3), 0)
     assert again.after_m[-1] < 0.0025
 
 
 def test_who_was_knocked_and_repaired_is_believed_again() -> None:
-    outcome = bumped(LiarCase("full", 3, 1, bumped_mm=100.0), 0, 0)
+    outcome = bumped(LiarCase("full", 3, bumped_mm=100.0), 0)
     assert 0.7 < outcome.share <= 1.5
 
 
 @pytest.mark.slow
 def test_a_liar_beside_a_target_that_moves() -> None:
-    outcome = attacked_moving(LiarCase("full", 3, 1, speed_mm_s=20.0), 0, 0)
+    outcome = attacked_moving(LiarCase("full", 3, speed_mm_s=20.0), 0)
     assert 0.003 < outcome.moved_m < 0.04
 
 
 def test_what_averages_beliefs_is_moved_by_the_lie_itself_and_the_clip_slows_it() -> None:
     moved = {
-        (protocol, clip): attacked(LiarCase("full", 3, 1, protocol=protocol, clip=clip), 0, 0).moved_m
+        (protocol, clip): attacked(LiarCase("full", 3, protocol=protocol, clip=clip), 0).moved_m
         for protocol, clip in (("paper", False), ("metropolis", False), ("metropolis", True))
     }
     assert moved["paper", False] > 0.5
@@ -202,27 +184,16 @@ def test_what_averages_beliefs_is_moved_by_the_lie_itself_and_the_clip_slows_it(
     assert 0.005 < moved["metropolis", True] < 0.1
 
 
-# --- rows -----------------------------------------------------------------------------------------------------
+# --- the claim ------------------------------------------------------------------------------------------------
 
 
-def test_a_row_for_each_case_and_every_target_is_about_some_case() -> None:
-    few = [case for case in liar_cases() if case.robots == 3]
-    outcome = attacked(LiarCase("full", 3, 1, protocol="paper"), 0, 0)._replace(ratio=1.0, bound_m=0.01, share=0.5)
-    rows = [liar_row(case, [outcome]) for case in few]
-    said = liar_verdicts(rows)
-    assert {v["target"] for v in said} == {target.name for target in TARGETS}
-    moved = next(v for v in said if v["target"].startswith("one liar moves"))
-    assert not moved["met"]
-    assert moved["measured"] == pytest.approx(1e3 * outcome.moved_m)
-    target = next(t for t in TARGETS if t.name.startswith("bumped"))
-    row = next(row for row in rows if row["bumped_mm"])
-    assert not verdict(target, row, "")["met"]
-    assert verdict(target, row | {"share_median": 0.8}, "")["met"]
-
-
-def test_the_list_of_lies() -> None:
-    usual, quick, full = liar_cases(), liar_cases(quick=True), liar_cases(full=True)
-    assert {case.robots for case in usual} == {3, 5, 10}
-    assert sum(case.draws for case in quick) < 0.15 * sum(case.draws for case in usual)
-    assert sum(case.draws for case in full) == 3 * sum(case.draws for case in usual)
-    assert all(fleet_of(case, None).robots for case in quick)
+def test_what_has_to_hold_in_any_draw_is_told_as_the_share_in_which_it_does() -> None:
+    row = {"moved_mm": 9.0, "over_bound": 1.3, "after_2_mm": 0.0, "after_10_mm": 1.0, "share": None}
+    mesh = [{"fleet": name, **row} for name in ("mesh-3", "mesh-5")] + [{"fleet": "mesh-3", **row, "over_bound": 1.0}]
+    found = summary({"mesh": mesh, "bumped": [{"fleet": "bumped-30", **row, "over_bound": None, "share": 0.7}]})
+    assert found["within_bound"] == Share(1, 3)
+    assert found["truth_again"] == Share(3, 3)
+    assert found["mesh-3_often_mm"] == Quantile([9.0, 9.0], 95.0)
+    assert found["bumped-30_share"] == Quantile([0.7], 50.0)
+    assert "key_gone" not in found
+    assert found.keys() - {figure.key for figure in CLAIM.figures} >= {"mesh-3_half_mm"}

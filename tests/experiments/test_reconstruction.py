@@ -1,32 +1,32 @@
-"""The reconstruction experiment's world and its scores, on scenes in closed form instead of minutes of rendering."""
+"""What scenes and surveys are judged by: their worlds and scores, on scenes in closed form instead of minutes of
+rendering."""
 
-import io
 import math
 from functools import partial
 
+import msgspec
 import numpy as np
 import pytest
-from rich.console import Console
 
+from agent.experiments.claim import Quantile, Share
 from agent.experiments.navigation.swimmers import Swimmers
-from agent.experiments.reconstruction.coverage import WideBodies, missed_coverage, swimming_fleet, swum
-from agent.experiments.reconstruction.reconstruction import Settings, missed, run, swimmers_table, table
+from agent.experiments.reconstruction import coverage, scenes, survey
 from agent.experiments.reconstruction.render import (
+    BOX_M,
     CLEAR_M,
     MOORED,
     NEW,
     OWN,
     SHARED,
-    TRUTH_STEP,
     Rendered,
     camera_of,
-    held_back_known,
-    held_back_new,
+    held_back,
     noisy,
     scene_of_seed,
     trained,
 )
-from agent.experiments.reconstruction.score import distances, into_truth, missed_pictures, nearest_m, score, seen_twice
+from agent.experiments.reconstruction.score import distances_to, into_truth, nearest_m, score, seen_twice
+from agent.experiments.reconstruction.survey import WideBodies, swimming_fleet, swum
 from agent.reconstruction.views import Camera
 from hw.twin.optics.lens import draw_lens
 from hw.twin.scene import generator
@@ -41,9 +41,8 @@ def floor() -> Rendered:
     depth_of = partial(plane_depth, normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
     places = [(0.6, 0.5, 0.4), (0.75, 0.45, 0.42), (0.85, 0.6, 0.4), (0.7, 0.75, 0.45), (0.62, 0.62, 0.43)]
     views = [drawn_view(n, place, (0.72, 0.61, 0.0), depth_of, camera=SMALL) for n, place in enumerate(places)]
-    scene = scene_of_seed(0, "tap")
-    empty = type(scene)(**{**{name: getattr(scene, name) for name in scene.__struct_fields__}, "solid": ()})
-    return Rendered(0, "tap", empty, views[:4], views[4:], views[4:], [view.depth_m for view in views[:4]])
+    empty = msgspec.structs.replace(scene_of_seed(0, "tap"), solid=())
+    return Rendered(empty, views[:4], views[:4], views[4:], views[4:])
 
 
 def test_nothing_lies_in_anothers_way() -> None:
@@ -52,10 +51,11 @@ def test_nothing_lies_in_anothers_way() -> None:
         assert scene.water.preset == "coastal"
         assert [solid.kind for solid in scene.solid].count("ball") == 1
         for solid in scene.solid:
-            stations = [*((x, y) for x, y, _ in MOORED.values()), *((x, y) for x, y, *_ in NEW)]
+            stations = [place[:2] for place in (*MOORED.values(), *NEW.values())]
             assert min(math.dist(solid.position_m[:2], one) for one in stations) > CLEAR_M
     assert scene_of_seed(3, "tap").solid == scene_of_seed(3, "coastal").solid != scene_of_seed(4, "tap").solid
-    assert (len(trained()), len(held_back_known()), len(held_back_new())) == (45, 5, 5)
+    views = [view for robot in MOORED for view in (*trained(robot), *held_back(robot))]
+    assert len(views) == len(set(views)) == 55
 
 
 def test_the_camera_model_fits_the_twins_port() -> None:
@@ -66,23 +66,22 @@ def test_the_camera_model_fits_the_twins_port() -> None:
 
 def test_scores_of_a_floor_that_is_off_by_three_millimetres(floor: Rendered) -> None:
     truth = seen_twice(floor)
-    assert np.abs(truth[:, 2]).max() < 2e-3  # pictures of views are TRUTH_STEP times smaller: here they are not
-    x, y = np.meshgrid(np.arange(0.45, 1.0, 0.003), np.arange(0.35, 0.9, 0.003))
+    assert len(truth) > 1000 and np.abs(truth[:, 2]).max() < 2e-3
+    x, y = np.meshgrid(np.arange(0.3, 1.2, 0.003), np.arange(0.2, 1.0, 0.003))
     points = np.stack([x, y, np.full_like(x, 0.003)], axis=-1).reshape(-1, 3)
     told = score(points, floor, truth)
     assert told.median_mm == pytest.approx(3.0)
-    assert told.precision_5mm == pytest.approx(100.0)
-    assert math.isnan(told.objects_mean_mm)  # there is none
-    assert TRUTH_STEP == 4
+    assert told.f5 > 90.0 and told.complete_10mm > 90.0
+    assert told.objects_mm is None  # there is none
+    higher = score(points + np.array([0.0, 0.0, 0.003]), floor, truth)
+    assert higher.f5 == 0.0 and higher.complete_10mm > 90.0
 
 
 def test_distances_to_solids_are_those_of_geometry() -> None:
-    tank = scene_of_seed(0, "tap")
-    world = Rendered(0, "tap", tank, [], [], [], [])
-    ball, stone = tank.solid[0], tank.solid[1]
-    above = np.add(ball.position_m, (0.0, 0.0, 0.07 + 0.004))
-    beside = np.add(stone.position_m, (stone.radii_m[0] + 0.002, 0.0, 0.0))
-    off, of_solid = distances(np.array([above, beside, [0.001, 0.6, 0.3]]), world)
+    solids = scene_of_seed(0, "tap").solid
+    above = np.add(solids[0].position_m, (0.0, 0.0, 0.07 + 0.004))
+    beside = np.add(solids[1].position_m, (solids[1].radii_m[0] + 0.002, 0.0, 0.0))
+    off, of_solid = distances_to(np.array([above, beside, [0.001, 0.6, 0.3]]), BOX_M, solids)
     np.testing.assert_allclose(off, [0.004, 0.002, 0.001], atol=1e-6)
     assert of_solid.tolist() == [True, True, False]
 
@@ -107,45 +106,45 @@ def test_robots_share_their_error_and_a_common_one_is_nobodys(floor: Rendered) -
     assert np.linalg.norm(back - true) < np.linalg.norm(np.array(believed) - true)
 
 
-def test_it_all_from_views_to_table(floor: Rendered) -> None:
-    asked = Settings(
-        seeds=1, waters=("tap",), poses=("exact", "noisy"), only="scenes"
-    )  # refined ones have tests of their own
-    result = run(asked, lambda done, total: None, world=lambda *asked: floor)
-    exact, off = result.cases
-    assert exact["median_mm"] < 0.5
-    assert exact["complete_10mm"] > 85.0
+def test_views_that_are_off_make_a_worse_scene(floor: Rendered) -> None:
+    truth = seen_twice(floor)
+    exact, off = (scenes.judged_scene(floor, truth, poses, 0, "surfels") for poses in ("exact", "noisy"))
+    assert exact["median_mm"] < 0.5 and exact["focus_complete_10mm"] > 85.0
     assert exact["median_mm"] < off["median_mm"]
-    assert exact["psnr_in"] > 15.0
-    assert exact["image"] == "surfels" and exact["place_mm"] < 1e-6 < off["place_mm"]
-    assert {"water", "poses", "median_mm", "complete_10mm", "f5", "psnr_in", "psnr_new", "seconds"} <= set(exact)
-    assert table(result)
+    assert exact["known_db"] > 15.0
+    assert exact["off_mm"] < 1e-6 < off["off_mm"]
 
 
-def test_a_survey_that_saves_too_little_or_ends_unlike_is_said() -> None:
-    equal = {"shared": True, "loss30": True}
-    told = {"coverage": {"shared": 70.0, "alone": 100.0, "loss30": 79.0}, "coverage_equal": equal}
-    assert missed_coverage(told) == []
-    told = {"coverage": {**told["coverage"], "loss30": 85.0}, "coverage_equal": {"shared": False, "loss30": True}}
-    assert missed_coverage(told) == ["shared: maps differ", "loss30: 0.85 times the keyframes of robots alone"]
-    assert missed_coverage({"coverage": {}, "coverage_equal": {}}) == []
+def test_a_tank_is_as_good_as_in_its_worse_water_and_refined_poses_lose() -> None:
+    one = {
+        "focus_median_mm": 2.0,
+        "focus_complete_10mm": 90.0,
+        "sweep_objects_mm": 0.6,
+        "median_mm": 0.3,
+        "f5": 89.0,
+        "known_db": 31.0,
+        "new_db": 28.0,
+        "off_mm": 0.0,
+    }
+    tap = [{**one, "poses": "exact"}, {**one, "poses": "refined", "f5": 88.0, "new_db": 28.5}] * 2
+    murky = {**one, "known_db": 29.0, "focus_median_mm": 2.6}
+    coastal = [{**murky, "poses": "exact"}, {**murky, "poses": "refined", "f5": 86.0}] * 2
+    found = scenes.summary({"tap": tap, "coastal": coastal})
+    assert found["focus_median_mm"] == Quantile([2.6, 2.6], 80.0)
+    assert found["known_db"] == Quantile([29.0, 29.0], 20.0)
+    assert found["lost_f5"] == Quantile([3.0, 3.0], 80.0) and found["lost_new_db"] == Quantile([0.0, 0.0], 80.0)
+    assert found["refined_f5"] == 87.0 and "noisy_f5" not in found
+    told = scenes.summary({"tap": [{**one, "poses": "exact", "sweep_objects_mm": None}]})
+    assert told["sweep_objects_mm"] == Quantile([math.inf], 80.0) and "lost_f5" not in told
 
 
-def test_pictures_and_poses_that_miss_their_bars_are_said() -> None:
-    one = {"seed": 2, "water": "tap", "poses": "exact", "image": "surfels", "psnr_in": 31.0, "psnr_new": 28.0, "f5": 77}
-    assert missed_pictures([one, {**one, "poses": "refined", "psnr_in": 30.1, "f5": 73}]) == []
-    assert missed_pictures([{**one, "psnr_new": 26.0}]) == ["seed 2, tap: new stations 26.0 dB"]
-    worse = {**one, "poses": "refined", "psnr_in": 29.9, "f5": 71}
-    assert missed_pictures([one, worse]) == [
-        "seed 2, tap: refined poses lose 1.1 dB at known stations",
-        "seed 2, tap: refined poses lose 6.0 points of F",
-    ]
-
-
-def test_a_bar_that_is_missed_is_said() -> None:
-    focus = {"median_mm": 2.6, "complete_10mm": 90.0}
-    one = {"seed": 1, "water": "tap", "poses": "exact", "focus": focus, "sweep": {"objects_mean_mm": 0.7}, "f5": 90.0}
-    assert missed([one, {**one, "poses": "noisy"}]) == ["seed 1, tap: median by focus 2.60 mm"]
+def test_a_run_of_moored_robots_that_is_too_long_counts_as_the_longest() -> None:
+    alone = [{"keyframes": 200}, {"keyframes": None}]
+    shared = [{"keyframes": 150, "equal": True}, {"keyframes": 165, "equal": False}]
+    found = coverage.summary({"shared": shared, "alone": alone})
+    assert found["alone_keyframes"] == 225.0 and found["shared_ratio"] == 0.7
+    assert found["shared_equal"] == Share(1, 2)
+    assert "shared_ratio" not in coverage.summary({"shared": shared})
 
 
 def test_what_swimmers_that_survey_say_is_believed() -> None:
@@ -164,8 +163,8 @@ def test_swimmers_begin_to_know_the_floor_and_wrong_blocks_are_among_what_they_s
     row = swum(9, seconds=14.0, every_s=7.0)
     first, second = row["known"]
     assert 0.0 < first < second < 0.3
-    assert all(made >= 1 for made in row["keyframes"])
+    assert row["keyframes"] >= 3
     assert row["things"] >= row["empty"] >= 0
-    console = Console(width=120, file=io.StringIO())
-    console.print(swimmers_table([row]))
-    assert f"{100 * second:.1f} %" in console.file.getvalue()
+    found = survey.summary({"all": [row, {**row, "things": 0, "empty": 0}]})
+    assert found["known_2"] == pytest.approx(100.0 * second)
+    assert found["empty"] == (100.0 * row["empty"] / row["things"] if row["things"] else None)

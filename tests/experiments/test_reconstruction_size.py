@@ -6,22 +6,17 @@ import numpy as np
 
 from agent.experiments.reconstruction.score import distances_to
 from agent.experiments.reconstruction.size import (
-    COUNTS,
     FARTHEST_M,
     MOST,
     RIM_M,
-    ROBOTS,
     SIZE_M,
     BasinCamera,
     basin,
     drawn_views,
     keep,
-    kept,
-    missed_size,
-    size,
-    size_parts,
+    measured,
     stops,
-    verdict,
+    summary,
 )
 from hw.twin.scene import Solid
 
@@ -30,7 +25,6 @@ def test_a_survey_goes_through_all_of_the_basin_in_turns() -> None:
     for seed in (1, 2):
         found = stops(seed)
         assert len(found) == MOST and stops(seed, 50) == found[:50]
-        assert [one.robot for one in found[:7]] == list(ROBOTS)
         x, y, z = np.array([one.position_m for one in found]).T
         assert x[:70].max() < 2.0 < 8.0 < x[-70:].min()  # together, from one end to the other
         assert np.ptp(y) > SIZE_M[1] - 1.2 and z.min() > 0.6
@@ -61,45 +55,26 @@ def test_boxes_are_as_far_as_geometry_says() -> None:
     assert of_solid.all()
 
 
-def test_a_small_survey_from_pictures_to_a_row() -> None:
-    done: list[None] = []
-    (row,) = size(1, lambda: done.append(None), counts=(3,))
-    assert len(done) == size_parts((3,)) == 4
-    assert (row["seed"], row["keyframes"], row["robots"]) == (1, 3, 3)
-    assert row["triangles"] > 1000 and row["median_mm"] < 5.0
-    assert 50.0 < row["refine_mb"] <= row["surface_mb"] <= row["peak_mb"] < 2000.0 and row["seconds"] > 0.0
-    assert row["believed_mm"] > 1.0 and row["refine_seconds"] > 0.0 and row["place_mm"] > 0.0
-    assert row["image_seconds"] > 0.0 and row["image_db"] > 15.0
-
-
-def test_views_are_kept_as_they_are(tmp_path) -> None:
-    views = list(drawn_views(2, 2, lambda: None))
+def test_a_small_survey_from_pictures_to_a_row(tmp_path) -> None:
+    views = list(drawn_views(1, 3))
+    assert [view.key for view in views] == [("r1", "", 0), ("r2", "", 0), ("r3", "", 0)]
     keep(views, tmp_path)
-    for one, other in zip(views, kept(tmp_path, 2), strict=True):
-        assert one.key == other.key and one.camera == other.camera
-        for name in ("rotation", "position_m", "pose_covariance", "picture", "depth_m", "sigma_m"):
-            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+    row = measured(tmp_path, 3, 1)
+    assert row["keyframes"] == 3 and row["median_mm"] < 5.0 and row["refined_mm"] > 0.0
+    assert 100.0 < row["peak_mb"] < 2000.0
+    assert min(row[key] for key in ("refine_s", "focus_s", "surface_s", "image_s")) > 0.0
 
 
-def test_what_grows_faster_than_it_may_is_said() -> None:
+def test_time_is_told_by_pairs_and_by_keyframes() -> None:
+    one = {"refine_s": 9.0, "focus_s": 2.0, "image_s": 20.0, "median_mm": 0.7, "refined_mm": 1.3}
     rows = [
-        {
-            "keyframes": n,
-            "compared": c,
-            "seconds": 0.1 * n * c,
-            "peak_mb": 3000,
-            "matches": 50 * n**2,
-            "refine_seconds": n * n,
-            "image_seconds": n,
-        }
-        for n, c in zip(COUNTS, (4.0, 4.5, 4.7), strict=True)
+        {**one, "keyframes": n, "compared": pairs, "surface_s": 0.1 * pairs, "peak_mb": 6.0 * n}
+        for n, pairs in ((125, 500), (250, 1125), (500, 2350))
     ]
-    told = verdict(rows)
-    assert (told["power_pairs"], told["peak_mb"]) == (1.0, 3000) and told["power_keyframes"] > 1.05
-    assert (told["power_refine"], told["power_matches"], told["power_image"]) == (2.0, 1.0, 1.0)
-    assert missed_size(rows) == missed_size([]) == [] and verdict([]) == {}
-    slower = [{**row, "seconds": row["seconds"] * row["keyframes"]} for row in rows]
-    assert missed_size([*slower[:2], {**slower[2], "peak_mb": 4100}]) == [
-        "500 keyframes: 4100 MB",
-        "time grows as pairs of pictures^1.90",
-    ]
+    told = summary({"survey": rows})
+    assert round(told["power_pairs"], 6) == 1.0 and told["power_keyframes"] > 1.05
+    assert (told["peak_mb"], told["surface_s"]) == (3000.0, 235.0) and "scene_focus_s" not in told
+    slower = [{**row, "surface_s": row["surface_s"] * row["keyframes"]} for row in rows]
+    assert summary({"survey": slower})["power_pairs"] > 1.8
+    assert summary({"survey": rows[:1]})["power_pairs"] is None
+    assert summary({"scene": rows[:1]})["scene_surface_s"] == 50.0

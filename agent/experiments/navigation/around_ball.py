@@ -82,9 +82,9 @@ def _nees(e: Array, covariance: Array) -> float:
 
 # --- crossing: how near robots come to each other, while all of them swim to and fro ---
 # Distances are centre to centre and by the truth. The crew arms them when all have found themselves: no robot keeps
-# clear of one that cannot say where it is.
+# clear of one that cannot say where it is. They begin facing the middle, for a wall near by shows no whole tag.
 
-CROSSING_ROBOTS, CROSSING_S, LOSS = 10, 60.0, 0.3
+CROSSING_ROBOTS, CROSSING_S, LOSS = 10, 30.0, 0.3
 FIND_S = 30.0  # in the hands of the crew, at most
 APART_M = 0.45  # goals of two; the fleet file demands 0.36
 CLEAR_M = 0.22  # of goals, from walls
@@ -97,8 +97,7 @@ def crossing(seed: int, robots: int = CROSSING_ROBOTS, seconds: float = CROSSING
     places: list[Vector] = []
     for _ in range(robots):
         places.append(free_place(rng, places))
-    poses = [Pose(x_m=x, y_m=y, yaw_deg=float(rng.uniform(-180.0, 180.0))) for x, y, _ in places]
-    fleet = basin.linked(poses, seed)
+    fleet = basin.linked([_facing_middle(x, y) for x, y, _ in places], seed)
     bodies = PlanarBodies(fleet)
     swimmers = Swimmers(fleet, bodies)
     swimmers.lost = lambda letter: bool(chance.random() < loss)
@@ -129,6 +128,10 @@ def free_place(rng: np.random.Generator, taken: Sequence[Vector]) -> Vector:
         x, y = (float(rng.uniform(CLEAR_M, side_m - CLEAR_M)) for side_m in TANK.size_m[:2])
         if all(math.dist((x, y), other[:2]) >= APART_M for other in taken):
             return x, y, 0.0
+
+
+def _facing_middle(x_m: float, y_m: float) -> Pose:
+    return Pose(x_m=x_m, y_m=y_m, yaw_deg=math.degrees(math.atan2(BALL_M[1] - y_m, BALL_M[0] - x_m)))
 
 
 def _swimmers_of(swimmers: Swimmers) -> list[Swimmer]:

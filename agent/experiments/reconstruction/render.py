@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -25,14 +24,13 @@ from agent.reconstruction.pose_evidence import moved_about
 from agent.reconstruction.views import (
     Camera,
     Floats,
+    FocusMap,
     View,
     diagonal_prior,
     keyframe,
     moved,
     project,
     reduction,
-    to_world,
-    unproject,
 )
 from hw.twin.optics.lens import Lens
 from hw.twin.optics.raycast import Optics, ray
@@ -55,23 +53,16 @@ TILTS_DEG = (-32.0, -20.0, -8.0)  # one for each depth: lower cameras look less 
 PANS_DEG = (-30.0, 0.0, 30.0)
 SURFACE_M = 0.5
 BOX_M = np.array([1.5, 1.2, SURFACE_M])  # of the water, as in that file
-# Held back: each robot once more between its pans, and five places where none was.
+# Held back: each robot once more between its pans (depth, pan), and a place where none was (x, y, yaw, depth, tilt).
 BETWEEN = {"r1": (0.16, 15.0), "r2": (0.28, -15.0), "r3": (0.16, -15.0), "r4": (0.28, 15.0), "r5": (0.22, 15.0)}
-NEW = (
-    (0.75, 0.18, 92.0, 0.15, -28.0),
-    (1.35, 0.60, 178.0, 0.22, -18.0),
-    (1.00, 1.05, 245.0, 0.20, -22.0),
-    (0.45, 0.55, 20.0, 0.12, -30.0),
-    (0.40, 1.05, 310.0, 0.28, -14.0),
-)
+NEW = {
+    "r1": (0.75, 0.18, 92.0, 0.15, -28.0),
+    "r2": (1.35, 0.60, 178.0, 0.22, -18.0),
+    "r3": (1.00, 1.05, 245.0, 0.20, -22.0),
+    "r4": (0.45, 0.55, 20.0, 0.12, -30.0),
+    "r5": (0.40, 1.05, 310.0, 0.28, -14.0),
+}
 CLEAR_M = 0.17  # from the middle of a stone to the middle of a camera, across
-
-
-class Station(NamedTuple):
-    """One view: which robot's camera takes it, where it stands and looks."""
-
-    robot: str
-    view: TankView
 
 
 def scene_of_seed(seed: int, water: WaterKind) -> Scene:
@@ -84,7 +75,7 @@ def scene_of_seed(seed: int, water: WaterKind) -> Scene:
 def drawn_solids(seed: int) -> tuple[Solid, ...]:
     """A ball and STONES stones of any shape on the floor, none in another or in a camera."""
     rng, solids = generator(seed, "reconstruction", "solids"), list[Solid]()
-    places = [*((x, y) for x, y, _ in MOORED.values()), *((x, y) for x, y, *_ in NEW)]
+    places = [place[:2] for place in (*MOORED.values(), *NEW.values())]
     while len(solids) <= STONES:
         x, y = rng.uniform(0.3, 1.2), rng.uniform(0.25, 0.95)
         radii = (BALL_M,) * 3 if not solids else tuple(rng.uniform(0.04, 0.09, 3).tolist())
@@ -98,32 +89,22 @@ def drawn_solids(seed: int) -> tuple[Solid, ...]:
     return tuple(solids)
 
 
-def trained() -> list[Station]:
-    """45 views: every robot at three depths, turned three ways."""
+def trained(robot: str) -> list[TankView]:
+    """At three depths, turned three ways."""
+    x, y, yaw = MOORED[robot]
     return [
-        Station(robot, TankView((x, y, SURFACE_M - depth), yaw + pan, tilt))
-        for robot, (x, y, yaw) in MOORED.items()
+        TankView((x, y, SURFACE_M - depth), yaw + pan, tilt)
         for depth, tilt in zip(DEPTHS_M, TILTS_DEG, strict=True)
         for pan in PANS_DEG
     ]
 
 
-def held_back_known() -> list[Station]:
-    """A view of each robot that is not trained on, from where it stands."""
-    found = []
-    for robot, (depth, pan) in BETWEEN.items():
-        x, y, yaw = MOORED[robot]
-        tilt = float(np.interp(depth, DEPTHS_M, TILTS_DEG))
-        found.append(Station(robot, TankView((x, y, SURFACE_M - depth), yaw + pan, tilt)))
-    return found
-
-
-def held_back_new() -> list[Station]:
-    """Views from where no robot was; with the camera of the robot of that number."""
-    return [
-        Station(robot, TankView((x, y, SURFACE_M - depth), yaw, tilt))
-        for robot, (x, y, yaw, depth, tilt) in zip(MOORED, NEW, strict=True)
-    ]
+def held_back(robot: str) -> tuple[TankView, TankView]:
+    """Views that are not trained on: from where the robot stands, and from where no robot was."""
+    (x, y, yaw), (depth, pan) = MOORED[robot], BETWEEN[robot]
+    known = TankView((x, y, SURFACE_M - depth), yaw + pan, float(np.interp(depth, DEPTHS_M, TILTS_DEG)))
+    x, y, yaw, depth, tilt = NEW[robot]
+    return known, TankView((x, y, SURFACE_M - depth), yaw, tilt)
 
 
 # --- the camera model that fits a twin's lens and flat port best ---
@@ -142,18 +123,14 @@ def camera_of(lens: Lens, lens_position: float) -> CameraFit:
         return (project(Camera(f_px, cx, cy, bend, ahead, lens.width, lens.height), points) - pixels).ravel()
 
     fit = least_squares(off, [f, *lens.centre_px, 0.39, 0.0], x_scale=[1e-3 * f, 1.0, 1.0, 1e-2, 1e-3])
-    f_px, cx, cy, bend, ahead = fit.x.tolist()
+    found = dict(zip(("f_px", "cx_px", "cy_px", "bend", "ahead_m"), fit.x.tolist(), strict=True))
     return CameraFit(
         width_px=lens.width,
         height_px=lens.height,
-        f_px=f_px,
-        cx_px=cx,
-        cy_px=cy,
-        bend=bend,
-        ahead_m=ahead,
         lens=lens_position,
         breathing=lens.per_position_m / lens.at_position_m(lens_position),
         noise_px=max(float(np.sqrt(np.mean(fit.fun**2))), 1e-3),
+        **found,
     )
 
 
@@ -175,41 +152,36 @@ def _rays(lens: Lens, lens_position: float) -> tuple[Floats, Floats]:
 
 EXACT = diagonal_prior(1e-5, 1e-5)
 
-Views = list[View]
-Truth = NDArray[np.float32]  # (height, width) z-depth, m
-
 
 @dataclass(frozen=True, eq=False)
 class Rendered:
-    """What one tank in one water gave. Truth depths belong to `trained`, in its order."""
+    """What one tank in one water gave."""
 
     scene: Scene
-    trained: Views
-    known: Views  # held back, from stations that are trained on
-    new: Views  # held back, from others
-    truth_m: list[Truth]
-    times: int  # so many times as large are pictures in which one pixel in so many, across and down, has its truth kept
+    trained: list[View]
+    true: list[View]  # the same with the depths of each pixel that are true
+    known: list[View]  # held back, from stations that are trained on
+    new: list[View]  # held back, from others
 
 
 def render(seed: int, water: WaterKind, sensor: str, robots: int = len(MOORED)) -> Rendered:
     """Every view of one tank by its first robots."""
-    scene = scene_of_seed(seed, water)
-    groups = {"trained": trained(), "known": held_back_known(), "new": held_back_new()}
-    found: dict[str, Views] = {group: [] for group in groups}
-    truth = []
+    found = Rendered(scene_of_seed(seed, water), [], [], [], [])
     for robot in list(MOORED)[:robots]:
-        known = calibrated(robot, seed, sensor, scene)
-        camera = StillCamera(sensor, seed, robot, scene)
+        calibration = calibrated(robot, seed, sensor, found.scene)
+        camera = StillCamera(sensor, seed, robot, found.scene)
         camera.prepare()
         times = reduction(camera.lens.width)
-        for group, stations in groups.items():
-            for seq, station in enumerate(stations):
-                if station.robot != robot:
-                    continue
-                found[group].append(seen(camera, station, seq, known))
-                if group == "trained":
-                    truth.append(camera.truth_m(known.camera.lens)[::times, ::times].copy())
-    return Rendered(scene, found["trained"], found["known"], found["new"], truth, times)
+        every = np.s_[times // 2 :: times]  # pixels of which a picture's are made: those in the middle
+        for seq, stand in enumerate(trained(robot)):
+            view = seen(camera, stand, robot, seq, calibration)
+            truth_m = camera.truth_m(calibration.camera.lens)[every, every].astype(np.float32)
+            found.trained.append(view)
+            found.true.append(replace(view, depth_m=truth_m))
+        known, new = held_back(robot)
+        found.known.append(seen(camera, known, robot, 0, calibration))
+        found.new.append(seen(camera, new, robot, 0, calibration))
+    return found
 
 
 def calibrated(robot: str, seed: int, sensor: str, scene: Scene) -> Calibration:
@@ -221,22 +193,29 @@ def calibrated(robot: str, seed: int, sensor: str, scene: Scene) -> Calibration:
     return Calibration(robot=robot, made="", source="wall", focus=focus, camera=fit)
 
 
-def seen(camera: StillCamera, station: Station, seq: int, known: Calibration) -> View:
-    """One sweep from a station."""
-    camera.view = station.view
+def seen(camera: StillCamera, stand: TankView, robot: str, seq: int, known: Calibration) -> View:
+    """One sweep."""
+    camera.view = stand
     images, rho = sweep(camera), np.array(lens_positions(camera), float)
-    swept = keyframe(images, rho, known, math.radians(station.view.tilt_deg))
+    swept = keyframe(images, rho, known, math.radians(stand.tilt_deg))
+    return view_from(stand, robot, seq, swept.camera, swept.picture, swept.depth)
+
+
+def view_from(
+    stand: TankView, robot: str, seq: int, camera: Camera, picture: NDArray[np.float32], depth: FocusMap
+) -> View:
+    """A keyframe whose pose is known."""
     return View(
-        robot=station.robot,
+        robot=robot,
         incarnation="",
         seq=seq,
-        camera=swept.camera,
-        rotation=rotation_of_view(station.view.yaw_deg, station.view.tilt_deg),
-        position_m=np.array(station.view.position_m),
+        camera=camera,
+        rotation=rotation_of_view(stand.yaw_deg, stand.tilt_deg),
+        position_m=np.array(stand.position_m),
         pose_covariance=EXACT,
-        picture=swept.picture,
-        depth_m=swept.depth.depth_m,
-        sigma_m=swept.depth.sigma_m,
+        picture=picture,
+        depth_m=depth.depth_m,
+        sigma_m=depth.sigma_m,
     )
 
 
@@ -246,16 +225,6 @@ def rotation_of_view(yaw_deg: float, tilt_deg: float) -> NDArray[np.float64]:
     ahead = np.array([math.cos(yaw) * math.cos(tilt), math.sin(yaw) * math.cos(tilt), math.sin(tilt)])
     right = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
     return np.stack([right, np.cross(ahead, right), ahead], axis=1)
-
-
-def truth_points(rendered: Rendered) -> Sequence[NDArray[np.float64]]:
-    """Of each trained view the places (n, 3) that it truly sees, world."""
-    points = []
-    for view, depth in zip(rendered.trained, rendered.truth_m, strict=True):
-        v, u = np.mgrid[: depth.shape[0], : depth.shape[1]]
-        pixels = np.stack([u, v], axis=-1) - 0.5 * (1.0 - 1.0 / rendered.times)  # the first of each square that is one
-        points.append(to_world(view, unproject(view.camera, pixels, depth.astype(float))).reshape(-1, 3))
-    return points
 
 
 # --- poses as wrong as a survey leaves them: an error that all views of a robot share, and one of each view ---

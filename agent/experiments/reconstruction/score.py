@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from agent.experiments.reconstruction.render import BOX_M, Rendered, truth_points
+from agent.experiments.reconstruction.render import BOX_M, Rendered
 from agent.reconstruction.held_back import ImageModel, judged
 from agent.reconstruction.pose_evidence import apart, between, by_motion
-from agent.reconstruction.views import Floats, View, see
+from agent.reconstruction.views import Floats, View, see, surface_points
 from hw.twin.optics.raycast import turned
 from hw.twin.scene import Solid
 
@@ -82,22 +82,22 @@ def _to_ellipsoid(points: Floats, radii: Floats) -> Floats:
 
 def seen_twice(rendered: Rendered) -> Floats:
     """True places (m, 3) that at least two trained views see, one of each cell of THIN_M."""
-    points = np.concatenate(truth_points(rendered))
+    points = np.concatenate([surface_points(view).reshape(-1, 3) for view in rendered.true])
     cells = np.floor(points / THIN_M).astype(np.int64)
     _, first = np.unique(cells, axis=0, return_index=True)
     places = points[np.sort(first)]
     seen = np.zeros(len(places), np.int64)
-    for view, depth in zip(rendered.trained, rendered.truth_m, strict=True):
-        seen += _visible(view, depth, places)
+    for view in rendered.true:
+        seen += _visible(view, places)
     return places[seen >= 2]
 
 
-def _visible(view: View, depth: NDArray[np.float32], places: Floats) -> NDArray[np.bool_]:
+def _visible(view: View, places: Floats) -> NDArray[np.bool_]:
     pixels, z = see(view, places)
     with np.errstate(invalid="ignore"):
         col, row = (np.where(np.isfinite(pixels[:, k]), np.rint(pixels[:, k]), -1).astype(np.int64) for k in (0, 1))
-    inside = (col >= 0) & (row >= 0) & (col < depth.shape[1]) & (row < depth.shape[0])
-    behind = z > HIDDEN * depth[np.where(inside, row, 0), np.where(inside, col, 0)] + 2e-3
+    inside = (col >= 0) & (row >= 0) & (col < view.camera.width) & (row < view.camera.height)
+    behind = z > HIDDEN * view.depth_m[np.where(inside, row, 0), np.where(inside, col, 0)] + 2e-3
     return np.asarray(inside & ~behind)
 
 
@@ -123,12 +123,11 @@ def psnr_known_new(model: ImageModel, rendered: Rendered, views: Sequence[View])
     return known, new
 
 
-def off_mm_deg(views: Sequence[View], true: Sequence[View]) -> tuple[float, float]:
-    """How far places and angles of cameras are from the true ones, mean over views, once the motion of everything is
-    taken off."""
+def off_mm(views: Sequence[View], true: Sequence[View]) -> float:
+    """How far cameras are from their true places, mean over views, once the motion of everything is taken off."""
     motion = between(views, true)
-    metres, radians = apart([by_motion(view, motion) for view in views], true)
-    return 1e3 * float(metres.mean()), float(np.degrees(radians.mean()))
+    metres, _ = apart([by_motion(view, motion) for view in views], true)
+    return 1e3 * float(metres.mean())
 
 
 def into_truth(points_m: Floats, views: Sequence[View], rendered: Rendered) -> Floats:

@@ -1,6 +1,6 @@
 """One of three robots lies as well as it can, through real sessions and processes: how far the other two are moved.
 
-The liar has its own key, hears everything, looks for the best lie once a second (agent/experiments/localization), tells
+The liar has its own key, hears everything, looks for the best lie once a second (tests/studies/liar), tells
 it ten times a second, and forges an entry of each of the others in every message. The bar for what it moves, at any
 time, is 30 mm; AUCAMP_LIES_S=60 lies for longer, and -s shows the figures. On the wall.
 """
@@ -25,7 +25,6 @@ from agent.core.linear_algebra import apply, upper
 from agent.core.messages import Entry, Estimate, Gossip, State
 from agent.core.topics import STATE
 from agent.demo.demo import demo_fleet
-from agent.experiments.localization.liar import Lies, best_lies, conclusions, told
 from agent.ground.new_fleet import make_keys
 from agent.process.keys import private_file, public_file, read_private, signing
 from agent.process.transport import Observer
@@ -33,6 +32,8 @@ from tests.killing import killed_after
 from tests.network.rogue import Rogue
 from tests.places import ROOT
 from tests.sample_messages import estimate
+from tests.studies.liar.attack import told
+from tests.studies.liar.search import Lies, best_lies, conclusions
 from tests.waiting import until
 
 LIES_S = float(os.environ.get("AUCAMP_LIES_S", "6"))

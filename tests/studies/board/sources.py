@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from hw import board_files
-from tests.bench.board.tools import BoardError
+from tests.studies.board.tools import BoardError
 
 BOARD, COMPUTER = "armv7emsp", "x64"  # what mpy-cross calls them
 SHIPPED = 3  # the -O of `make firmware`: no assertions, no line numbers

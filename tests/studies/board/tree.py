@@ -6,9 +6,9 @@ from collections import defaultdict
 from dataclasses import dataclass, field
 from typing import Any
 
-from tests.bench.board import prices
-from tests.bench.board.boots import FAKES, GC_PART, Run
-from tests.bench.board.counts import Count
+from tests.studies.board import prices
+from tests.studies.board.boots import FAKES, GC_PART, Run
+from tests.studies.board.counts import Count
 
 SLEEPS = ("b_pyb.wfi", "b_machine.idle")
 

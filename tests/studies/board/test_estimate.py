@@ -3,13 +3,14 @@
 import numpy as np
 import pytest
 
-from tests.bench import bench_board
-from tests.bench.board import boots, commands, estimate, imposed, proxy, sources, tools
-from tests.bench.board.counts import Count, Log, mean_of
-from tests.bench.board.report import verdict
-from tests.bench.board.timetable import Cycle, hearing_ms, timetable
-
-FIRMWARE = commands.FIRMWARE
+from agent.experiments.claim import NoSettings, measure
+from agent.experiments.claim import verdict as verdict_of
+from agent.process.command import Failed
+from tests.studies.board import __main__ as command
+from tests.studies.board import boots, claim, estimate, imposed, proxy, sources, tools
+from tests.studies.board.counts import Count, Log, mean_of
+from tests.studies.board.report import verdict
+from tests.studies.board.timetable import Cycle, hearing_ms, timetable
 
 
 def cycle(number, work, heard=False, sent=0.0):
@@ -68,10 +69,11 @@ def test_no_part_of_a_cycle_takes_less_than_nothing():
 def test_what_is_missing_is_one_line_with_a_remedy(monkeypatch, capsys):
     for module in (tools, proxy):
         monkeypatch.setattr(module, "which", lambda name: None)
-    assert commands.main([]) == 1
+    assert command.main([]) == 1
     said = capsys.readouterr().err
     assert "apt-get install -y qemu-user gcc libc6-dev" in said
-    assert bench_board.run() == {}
+    with pytest.raises(Failed, match="apt-get install -y qemu-user"):
+        claim.run(0, "all", NoSettings())
 
 
 def test_only_what_the_board_may_import_is_part_of_the_digest(tmp_path):
@@ -89,17 +91,16 @@ def test_only_what_the_board_may_import_is_part_of_the_digest(tmp_path):
 
 @pytest.mark.slow
 def test_the_firmware_keeps_its_cycle(monkeypatch):
-    """One numbering of six: within 1 % of what `python -m tests.bench board` says."""
+    """One numbering of six: within 1 % of what `python -m tests.studies.board` says."""
     try:
         tools.find_tools()
     except tools.MissingTool as missing:
         pytest.skip(str(missing))
     monkeypatch.setattr(boots, "NUMBERINGS", boots.NUMBERINGS[:1])
-    options = boots.Options(FIRMWARE)
+    options = boots.Options(tools.FIRMWARE)
     result = estimate.figures(estimate.measure(options), options)
-    table = result["windows"]["armed"]["timetable"]
-    assert table["mean_ms"] <= bench_board.MEAN_MS and table["worst_ms"] <= bench_board.WORST_MS
-    assert table["lost"] == 0
-    assert np.mean(result["bytes_a_cycle"]) <= bench_board.BYTES
-    assert result["free_after_boot"] >= 1000 * bench_board.FREE_KB
+    found = measure(claim.CLAIM, {"all": {0: [claim.row(result)]}})
+    assert {figure.key: verdict_of(figure, found[figure.key]) for figure in claim.CLAIM.figures} == dict.fromkeys(
+        found, "met"
+    )
     assert not result["heap_was_full"] and not result["collector_overflows"]

@@ -1,4 +1,4 @@
-"""`python -m tests.bench board`: what the firmware costs on an STM32F407, estimated on this computer."""
+"""`python -m tests.studies.board` prints what the firmware costs on an STM32F407, estimated on this computer."""
 
 from __future__ import annotations
 
@@ -8,18 +8,15 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.bench.board import estimate, imposed, proxy, sources
-from tests.bench.board.boots import Options
-from tests.bench.board.report import report
-from tests.bench.board.tools import BoardError, MissingTool
-from tests.places import ROOT
-
-FIRMWARE = ROOT / "hw" / "firmware"
+from tests.studies.board import estimate, imposed, proxy, sources
+from tests.studies.board.boots import Options
+from tests.studies.board.report import report
+from tests.studies.board.tools import FIRMWARE, BoardError, MissingTool
 
 
 def main(words: Sequence[str]) -> int:
     """Print the table; where tools are missing, say which, and what the Unix port itself takes."""
-    parser = argparse.ArgumentParser(prog="python -m tests.bench board", description=__doc__)
+    parser = argparse.ArgumentParser(prog="python -m tests.studies.board", description=__doc__)
     parser.add_argument("--firmware", type=Path, default=FIRMWARE, metavar="DIR", help="folder with main.py")
     parser.add_argument("--law", default="observer", choices=("observer", "pid", "pi"))
     parser.add_argument("--json", type=Path, metavar="FILE", help="write all figures there")
@@ -49,3 +46,7 @@ def main(words: Sequence[str]) -> int:
     if given.json:
         given.json.write_text(json.dumps(result, indent=1) + "\n")
     return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

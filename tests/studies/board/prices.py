@@ -6,8 +6,8 @@ import json
 from collections import defaultdict
 from collections.abc import Mapping
 
-from tests.bench.board.counts import Count
-from tests.bench.board.tools import HERE
+from tests.studies.board.counts import Count
+from tests.studies.board.tools import HERE
 
 _PRICES = json.loads((HERE / "prices.json").read_text())
 _INSTRUCTION, _CALL, _PRETENDED = _PRICES["instruction"], _PRICES["call"], _PRICES["pretended"]

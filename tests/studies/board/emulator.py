@@ -7,8 +7,8 @@ import threading
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.bench.board.elf import FUNCTION, symbols
-from tests.bench.board.tools import HERE, BoardError, Tools
+from tests.studies.board.elf import FUNCTION, symbols
+from tests.studies.board.tools import HERE, BoardError, Tools
 
 # What count.c looks at in a function of the interpreter: see there.
 RUNS, LEAVES, COLLECTS, ALLOCATES, READS_TOTAL, STATE = 1, 2, 4, 8, 16, 32

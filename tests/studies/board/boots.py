@@ -10,9 +10,9 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
-from tests.bench.board import counts, emulator, host, sources
-from tests.bench.board.sources import BOARD, COMPUTER, Compiler
-from tests.bench.board.tools import HERE, BoardError, Tools
+from tests.studies.board import counts, emulator, host, sources
+from tests.studies.board.sources import BOARD, COMPUTER, Compiler
+from tests.studies.board.tools import HERE, BoardError, Tools
 
 HELLO, ASK, ARM, LOOK = 20, 24, 330, 345  # cycles: a greeting, its answer, 3 s of neutral pulses later the order
 DISARMED, ARMED = range(120, 320), range(346, 546)  # that are counted

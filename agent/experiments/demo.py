@@ -1,0 +1,174 @@
+"""Robots that find a target together, as `aucamp demo` has them: its own processes, over its own links, in the twin."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from functools import partial
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import msgspec
+from rich.console import Console
+
+from agent.core.config import Protocol
+from agent.demo.demo import demo
+from agent.demo.summary import BARS, PASS_PERCENT
+from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, Value
+from agent.process.command import Failed, temporary_folder
+
+ALL_PERCENT = 95.0  # of the dives have to be right
+
+# --- one dive ---
+
+
+class Dive(msgspec.Struct, frozen=True, kw_only=True):
+    """What a user asks of `aucamp demo`, and what its figures are called by."""
+
+    words: str
+    fleet: str = "tank"
+    protocol: Protocol | None = None
+    loss: float | None = None
+
+
+DIVES = {
+    "tank": Dive(words="three robots"),
+    "loss30": Dive(words="three, 30 % of messages lost", loss=0.3),
+    "paper": Dive(words="three, the paper's protocol", protocol="paper"),
+    "line": Dive(words="five in a line", fleet="line_of_five"),
+    "swim": Dive(words="robots that swim", fleet="swim"),
+    "box": Dive(words="a stone in a box", fleet="box_target"),
+    "fish": Dive(words="a fish", fleet="fish"),
+}
+AT_BALL = ("tank", "loss30", "paper", "line", "swim")
+
+
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """What can be asked."""
+
+    limit_s: float = 120.0  # of a dive's own clock, as `aucamp demo` has it
+
+
+def run(seed: int, case: str, settings: Settings) -> list[Row]:
+    """One dive, as fast as the machine can. Raises Failed where one of its processes fails."""
+    dive = DIVES[case]
+    with temporary_folder() as folder:
+        silent = Console(file=StringIO())
+        out, summary = demo(
+            None, dive.protocol, dive.loss, seed, settings.limit_s, folder / "run", silent, dive.fleet, speed=math.inf
+        )
+        speed = times_real_time(out / "logs" / "twin.log")
+    (target,) = summary["targets"].values()
+    judge = of_fish if case == "fish" else of_stone if case == "box" else of_ball
+    return [{"passed": summary["verdict"] == "pass", "times_real_time": speed, **judge(target)}]
+
+
+def times_real_time(log: Path) -> float:
+    """How fast the dive went, as the twin says last. Raises Failed."""
+    found = re.search(r"([\d.]+) times real time", log.read_text(encoding="utf-8"))
+    if found is None:
+        raise Failed(f"{log.name}: does not say how fast the dive went")
+    return float(found[1])
+
+
+# --- what its summary.json says of the target ---
+
+
+def worst(rows: dict[str, dict[str, Any]], key: str) -> float | None:
+    """The largest of all robots; None: one has none."""
+    values = [row[key] for row in rows.values()]
+    return None if None in values else float(max(values))
+
+
+def of_ball(target: dict[str, Any]) -> Row:
+    rows = target["agents"]
+    return {
+        "error_percent": worst(rows, "relative_error_percent"),
+        "from_iteration": worst(rows, "below_0_4_percent_from"),
+    }
+
+
+def of_stone(target: dict[str, Any]) -> Row:
+    return {"outside_mm": worst(target["agents"], "outside_mm")}
+
+
+def of_fish(target: dict[str, Any]) -> Row:
+    return {key: target[key] for key in BARS}
+
+
+# --- the claim ---
+
+
+def summary(rows: Rows) -> dict[str, Value]:
+    """Of each dive its worst robot counts: robots of one dive agree, so that each of them is no trial of its own."""
+    found: dict[str, Value] = {}
+    for case, dives in rows.items():
+        median = partial(_median, dives)
+        found[f"{case}_passed"] = Share(sum(dive["passed"] for dive in dives), len(dives))
+        found[f"{case}_times_real_time"] = median("times_real_time")
+        if case in AT_BALL:
+            errors = [dive["error_percent"] for dive in dives]
+            within = sum(error is not None and error < PASS_PERCENT for error in errors)
+            found[f"{case}_within"] = Share(within, len(dives))
+            found |= {f"{case}_{key}": median(key) for key in ("error_percent", "from_iteration")}
+        elif case == "box":
+            found["box_outside_mm"] = median("outside_mm")
+        else:
+            found |= {f"fish_{key}": median(key) for key in BARS}
+    return found
+
+
+def _median(dives: Sequence[Row], key: str) -> Quantile:
+    return Quantile([dive[key] for dive in dives], 50.0)
+
+
+def _figures(case: str) -> tuple[Figure, ...]:
+    def figure(key: str, words: str, unit: str = "", **limits: Any) -> Figure:
+        return Figure(f"{case}_{key}", f"{DIVES[case].words}: {words}", unit, **limits)
+
+    own: tuple[Figure, ...] = ()
+    if case in AT_BALL:
+        own = (
+            figure("error_percent", "its worst robot's relative error, median", "%", most=0.4, paper="< 0.4 %"),
+            figure("within", "dives in which all are within 0.4 %", "%", least=ALL_PERCENT),
+            figure("from_iteration", "all stay below 0.4 % from iteration, median", paper="about 30"),
+        )
+    elif case == "box":
+        own = (figure("outside_mm", "its worst robot's estimate outside of it, median", "mm"),)
+    else:
+        words = {
+            "seen_by_one": "seen by one at least, share of the time",
+            "seen_by_two": "by two",
+            "seen_each": "by the one that sees it least",
+            "track_rms_mm": "off its track, rms",
+            "nees": "its error as robots say: NEES",
+        }
+        own = tuple(
+            figure(key, f"{words[key]}, median", "mm" if key.endswith("mm") else "", least=least, most=most)
+            for key, (least, most) in BARS.items()
+        )
+    return (
+        *own,
+        figure("passed", "dives that pass their own verdict", "%", least=ALL_PERCENT),
+        figure("times_real_time", "a dive's speed, median", "times real time"),
+    )
+
+
+CLAIM = Claim(
+    run=run,
+    summary=summary,
+    settings=Settings,
+    quick={"limit_s": 20.0},
+    cases=tuple(DIVES),
+    by_default=("tank", "loss30"),
+    measured_on="twin",
+    figures=tuple(figure for case in DIVES for figure in _figures(case)),
+    seeds=60,  # as many as the 95 % take
+    alone=True,  # it takes ports, and all cores
+    explanation="""Each seed is one dive of `aucamp demo`: robots calibrate their cameras, then find the target and
+        agree about it, as processes that talk over real links; water, cameras and bodies are the twin's. A dive ends
+        when the robots have settled, or after two minutes of its own clock. What counts of a dive is its worst
+        robot.""",
+)
