@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv run test bench firmware fuzz lint format clean
+.PHONY: venv run test firmware fuzz lint format clean
 
 venv: .venv/ready
 run: .venv/ready
@@ -11,9 +11,6 @@ run: .venv/ready
 # More workers would wait for the one that has tests/network (tests/conftest.py).
 test: .venv/ready-test lint
 	$(BIN)/pytest -n auto --maxprocesses 4 -rs
-
-bench: .venv/ready-test
-	$(BIN)/python -m tests.bench
 
 # The files that are copied to a board (hw/README.md, "Flash it").
 firmware: .venv/ready-test

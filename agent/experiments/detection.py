@@ -19,7 +19,7 @@ from agent.core.ranging.camera_model import CameraFit
 from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value, percentile
 from agent.experiments.still_camera import WATER_INDEX, StillCamera, TankView
 from agent.perception.detection.detect import Ball, find_ball
-from agent.perception.enhancement.enhance import classic, enhance, raw_else_enhanced
+from agent.perception.enhancement.enhance import classic, enhance, one_thread, raw_else_enhanced
 from hw.camera.camera import Image
 from hw.twin.optics.raycast import Floats
 from hw.twin.scene import SceneWater, Solid, generator, load_scene
@@ -56,7 +56,6 @@ class BallView(NamedTuple):
     without: Image
     camera: CameraFit  # the pinhole nearest to this lens at this focus
     truth: Outline | None  # None where the ball is hidden or less than a tenth of its outline shows
-    range_m: float
     sharp: bool
 
 
@@ -80,7 +79,7 @@ def ball_views(water: WaterKind, sensor: str, seed: int, count: int) -> Iterator
         away = rng.uniform(full.lens.lowest, full.lens.highest - 2 * DEFOCUS)
         blurred = int(away if away < sharp - DEFOCUS else max(away, sharp - DEFOCUS) + 2 * DEFOCUS)
         for lens_position in (sharp, min(blurred, full.lens.highest)):
-            yield _ball_view(full, bare, view, lens_position, range_m, lens_position == sharp)
+            yield _ball_view(full, bare, view, lens_position, lens_position == sharp)
 
 
 def _view(ball_m: Array, rng: np.random.Generator) -> tuple[TankView, float]:
@@ -105,9 +104,7 @@ def _sharp_position(camera: StillCamera, distance_m: float) -> int:
     return round(min(max(lens_position, lens.lowest), lens.highest))
 
 
-def _ball_view(
-    full: StillCamera, bare: StillCamera, view: TankView, lens_position: int, range_m: float, sharp: bool
-) -> BallView:
+def _ball_view(full: StillCamera, bare: StillCamera, view: TankView, lens_position: int, sharp: bool) -> BallView:
     """The two frames, and the truth from their depths."""
     images, depths = [], []
     for camera in (full, bare):
@@ -118,7 +115,7 @@ def _ball_view(
     lens, (width, height) = full.lens, full.size
     f_px = WATER_INDEX * lens.at_position_m(lens_position) / lens.pixel_m
     pinhole = CameraFit(width_px=width, height_px=height, f_px=f_px, cx_px=lens.centre_px[0], cy_px=lens.centre_px[1])
-    return BallView(images[0], images[1], pinhole, outline(depths[0], depths[1], pinhole), range_m, sharp)
+    return BallView(images[0], images[1], pinhole, outline(depths[0], depths[1], pinhole), sharp)
 
 
 def outline(depth_m: Floats, without_m: Floats, camera: CameraFit) -> Outline | None:
@@ -198,6 +195,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
 def run(seed: int, case: str, settings: Settings) -> list[Row]:
     """One tank of this water; a row for each way and focus."""
+    one_thread()  # so that the network's sums come out the same
     rows = {(way, focus): empty(way, focus) for way in WAYS for focus in FOCI}
     for view in ball_views(msgspec.convert(case, WaterKind), settings.sensor, seed, settings.places):
         found, elsewhere = balls(view.with_ball, view.camera), balls(view.without, view.camera)

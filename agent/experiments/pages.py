@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 
 from agent.experiments.claim import Claim
-from agent.experiments.registry import CLAIMS, code_of, load
+from agent.experiments.registry import CLAIMS, HEADLINES, code_of, load
 from agent.experiments.results import KEPT, KeptFigure, Told, judged_anew, read_kept, write_kept
 
 if TYPE_CHECKING:
@@ -80,9 +80,15 @@ def table(figures: Sequence[Told], title: str) -> Table:
 # --- pages ---
 
 
+README, BEGIN, END = "README.md", "<!-- figures: aucamp experiment docs -->\n", "<!-- end of figures -->\n"
+
+
 def write_pages(root: Path = Path()) -> list[Path]:
-    """All pages, each claim's figure, and the results by today's words and limits. Returns what was written."""
+    """All pages, each claim's figure, the README's figures, and the results by today's words and limits. Returns what
+    was written."""
     written = []
+    if (readme := root / README).exists():
+        readme.write_text(with_headlines(readme.read_text(encoding="utf-8"), root), encoding="utf-8")
     (root / PAGES).mkdir(parents=True, exist_ok=True)
     for name, text in all_pages(root).items():
         (root / PAGES / name).write_text(text, encoding="utf-8")
@@ -108,6 +114,21 @@ def kept_claims(root: Path) -> dict[str, tuple[Claim, list[KeptFigure]]]:
         claim = load(entry.module)
         found[name] = claim, judged_anew(claim, read_kept(name, root / KEPT))
     return found
+
+
+def with_headlines(text: str, root: Path = Path()) -> str:
+    """The README with its figures. Raises ValueError where it has no place for them."""
+    before, rest = text.split(BEGIN)
+    _, after = rest.split(END)
+    told = {(name, one.told.key): one.told for name, (_, figures) in kept_claims(root).items() for one in figures}
+    rows = [
+        f"| [{told[key].words}](docs/research/{key[0]}.md) | {told[key].paper} | {value_of(told[key])} | "
+        f"{interval_of(told[key])} | {mark(told[key])} |"
+        for key in HEADLINES
+        if key in told
+    ]
+    head = ["| | paper | Aucamp | 90 % interval | target |", "|---|---|---|---|---|"]
+    return before + BEGIN + "\n" + "\n".join([*head, *rows]) + "\n\n" + END + after
 
 
 def claims_page(kept: Mapping[str, tuple[Claim, list[KeptFigure]]]) -> str:

@@ -28,7 +28,7 @@ from agent.experiments.still_camera import (
     sweep_view,
 )
 from agent.perception.depth_sweep import DepthMap, clarity_of, measure
-from agent.perception.enhancement.enhance import apply_colours, classic, enhancer, missing
+from agent.perception.enhancement.enhance import apply_colours, classic, enhancer, missing, one_thread
 from hw.camera.camera import Image
 from hw.twin.optics.lens import Lens
 from hw.twin.scene import SceneWater, load_scene
@@ -111,6 +111,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
 def run(seed: int, case: str, settings: Settings) -> list[Row]:
     """Sweep the first views in one kind of water; a row for each way. Raises Failed."""
+    one_thread()  # so that the network's sums come out the same
     water = SceneWater(preset=msgspec.convert(case, WaterKind))
     camera = StillCamera(settings.sensor, seed, scene=msgspec.structs.replace(load_scene("tank"), water=water))
     camera.prepare()

@@ -30,14 +30,14 @@ DEMO, SWIM, FISH, LIGHT = "Finding a target together", "Robots that swim", "Foll
 WRONG, FOCUS, PICTURES, SCENE = "When something is wrong", "Distance from focus", "Pictures", "Surveys and scenes"
 BODY, NETWORK, COST = "Body and board", "Networks and people", "What it costs"
 
-# What the study of the board reads and builds.
+# What the study of the board reads and builds; what is recorded and checked.
 COUNTED = tuple(f"tests/studies/board/{name}" for name in ("count.c", "heap.txt", "prices.json", "pretended"))
+RECORDED = ("agent/fleets", *(f"tests/golden/{dive}" for dive in ("three", "three_evidence", "swim")))
 
 CLAIMS: dict[str, Entry] = {
     "demo": Entry(E + "demo", "robots find a target together, as `aucamp demo` has them", DEMO, ("agent/fleets",)),
     "localization": Entry(E + "localization.localization", "protocols against the Cramer-Rao bound", DEMO),
     "liar": Entry(S + "liar.claim", "how far robots that lie as well as they can move the others", WRONG),
-    "doubt": Entry(B + "bench_doubt", "what doubting one's own places is worth", DEMO),
     "tag-fix": Entry(E + "navigation.tag_fix", "where a robot is, by the tags of one frame", SWIM),
     "manoeuvres": Entry(E + "navigation.manoeuvres", "one robot holds, goes, turns and orbits", SWIM),
     "around-ball": Entry(E + "navigation.around_ball", "robots cross, locate a ball, and are aided by it", SWIM),
@@ -51,20 +51,21 @@ CLAIMS: dict[str, Entry] = {
     "lighting": Entry(E + "lighting", "lamps lent in the dark: own, all, one set, the rule, the optimum", LIGHT),
     "veil": Entry(S + "veil.claim", "a lamp's veil in twin and kernel, against Monte Carlo", LIGHT),
     "night": Entry(B + "light.bench_night", "robots find a ball by each other's light", LIGHT, ("agent/fleets",)),
+    "lamp-cost": Entry(B + "light.bench_lamp_cost", "what one more lamp adds to a rendered frame", LIGHT),
     "leases": Entry(B + "light.bench_leases", "no sweep counts in which a lamp changed", LIGHT),
     "keyframes": Entry(B + "light.bench_keyframes", "keyframes of a survey by lent light", LIGHT, ("agent/fleets",)),
     "calibration": Entry(E + "calibration", "range against focus position, on the bench", FOCUS),
     "depth": Entry(E + "depth", "depth of whole views from focus: our peak, the paper's", FOCUS),
     "consistency": Entry(E + "consistency", "whether measurements are as wrong as they say", FOCUS),
     "peak-shift": Entry(E + "peak_shift", "how far enhancement moves the focus peak", FOCUS),
-    "depth-map": Entry(B + "pictures.bench_depth_map", "depth maps of stacks, in truth and in time", FOCUS),
+    "depth-map": Entry(B + "pictures.bench_depth_map", "depth maps of stacks of photographs, by their truth", FOCUS),
     "edges": Entry(B + "pictures.bench_edges", "blocks astride an edge in depth", FOCUS),
     "detection": Entry(E + "detection", "whether the ball is found, sharp or not, raw or enhanced", PICTURES),
     "detection-pictures": Entry(E + "detection_pictures", "balls found in pictures with a truth.csv", PICTURES),
     "eyes": Entry(B + "pictures.bench_eyes", "balls in real pictures, as other cameras would take them", PICTURES),
     "warm": Entry(B + "pictures.bench_warm", "warm colours stay warm when enhanced", PICTURES),
     "track-loss": Entry(B + "pictures.bench_track_loss", "lost is said while a thing in a box is away", PICTURES),
-    "landmarks": Entry(B + "bench_landmarks", "corners of tags, and what finding them takes", PICTURES),
+    "landmarks": Entry(B + "bench_landmarks", "how far off the corners of tags are, at each blur", PICTURES),
     "film-of-tags": Entry(B + "bench_survey", "places of a tank's tags from a film of them", PICTURES),
     "coverage": Entry(E + "reconstruction.coverage", "keyframes that robots need which share what they saw", SCENE),
     "survey": Entry(E + "reconstruction.survey", "what three robots that swim know of a floor", SCENE),
@@ -72,27 +73,30 @@ CLAIMS: dict[str, Entry] = {
     "size": Entry(E + "reconstruction.size", "time and memory against the size of a survey", SCENE),
     "orientation": Entry(E + "orientation", "push and depth step under three control laws", BODY),
     "board": Entry(S + "board.claim", "what a control cycle takes on the board", BODY, ("hw/firmware", *COUNTED)),
-    "clock": Entry(B + "bench_clock", "how fast a dive in the twin goes", BODY),
+    "clock": Entry(B + "bench_clock", "nothing in a dive comes late, beside busy processes too", BODY),
     "swarm": Entry(B + "bench_swarm", "twenty agents on one machine; a partition heals", NETWORK),
     "orders": Entry(B + "network.bench_orders", "a person stops three robots, of which one hangs", NETWORK),
-    "fleets": Entry(B + "network.bench_fleets", "one recorder for ten fleets", NETWORK),
     "page": Entry(B + "network.bench_page", "a page in a browser of five robots", NETWORK),
-    "firewall": Entry(B + "network.bench_firewall", "a link while a stranger opens connections", NETWORK),
-    "hosts": Entry(B + "network.bench_hosts", "a certificate runs out in the dive", NETWORK),
-    "access": Entry(B + "network.bench_access", "what TLS and signatures cost a link", NETWORK),
+    "hosts": Entry(B + "network.bench_hosts", "certificates that run out, a stranger: robots as hosts", NETWORK),
+    "access": Entry(B + "network.bench_access", "what certificates and access rules cost a link", NETWORK),
     "mavproxy": Entry(B + "network.bench_mavproxy", "a ground station that others wrote", NETWORK),
-    "estimation": Entry(B + "bench_estimation", "what agreement takes", COST),
-    "vision": Entry(B + "bench_vision", "what perception and the peak fit take", COST),
-    "enhance": Entry(B + "bench_enhance", "what enhancement of a frame takes", COST),
-    "track": Entry(B + "bench_track", "what tracking a box takes", COST),
-    "recording": Entry(B + "bench_recording", "what recording takes", COST),
-    "replay": Entry(B + "bench_replay", "how fast a dive is replayed", COST),
-    "signing": Entry(B + "bench_signing", "what signatures of messages take", COST),
-    "physics": Entry(B + "bench_physics", "what the twin's bodies take", COST),
-    "optics": Entry(B + "bench_optics", "what the twin's pictures take", COST),
-    "preview": Entry(B + "bench_preview", "what previews take", COST),
-    "extras": Entry(B + "bench_extras", "what the extras take", COST),
+    "frames": Entry(B + "bench_frames", "what perception takes of a frame", COST),
+    "messages": Entry(B + "bench_messages", "what agreement and signatures take", COST),
+    "recording": Entry(B + "bench_recording", "what recording a dive takes, and checking it again", COST, RECORDED),
+    "twin": Entry(B + "bench_twin", "what the twin's water, cameras and boards take", COST, ("agent/fleets",)),
 }
+
+
+# Claim and figure, for the README.
+HEADLINES = (
+    ("demo", "tank_error_percent"),
+    ("demo", "tank_from_iteration"),
+    ("demo", "loss30_error_percent"),
+    ("localization", "evidence_ratio_200"),
+    ("manoeuvres", "hold_rms_mm"),
+    ("orientation", "observer_push_p95_s"),
+    ("board", "worst_ms"),
+)
 
 
 def load(module: str) -> Claim:

@@ -45,7 +45,8 @@ class Plan(NamedTuple):
 
     @property
     def of(self) -> dict[str, Any]:
-        return {"claim": self.name, "code": self.code, "settings": msgspec.to_builtins(self.settings)}
+        settings = json.loads(msgspec.json.encode(self.settings))  # as a file gives it back: a tuple is a list there
+        return {"claim": self.name, "code": self.code, "settings": settings}
 
     @property
     def pieces(self) -> list[tuple[str, int]]:

@@ -9,13 +9,13 @@ from __future__ import annotations
 import contextlib
 import statistics
 import time
-from collections.abc import Callable, Iterator, Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from functools import partial
 
 import cv2
 import msgspec
 
-from agent.experiments.claim import Quantile, Rows, Value
+from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Value
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
@@ -24,16 +24,22 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     times: int = 15  # that each way is taken
 
 
-QUICK = {"times": 3}
-REPETITIONS = 5  # seeds: the least whose middle value has an interval of 90 %
-
-
-class Told(NamedTuple):
-    """What a figure tells of a row: a value, or how many times another one it is."""
-
-    case: str
-    way: str
-    against: str = ""
+def claim_of_costs(
+    run: Callable[[int, str, Settings], list[Row]], cases: Iterable[str], figures: tuple[Figure, ...], explanation: str
+) -> Claim:
+    """Of five repetitions, the least whose middle value has an interval of 90 %."""
+    return Claim(
+        run=run,
+        summary=partial(median_figures, figures),
+        figures=figures,
+        explanation=explanation,
+        measured_on="this machine",
+        settings=Settings,
+        cases=tuple(cases),
+        quick={"times": 3},
+        seeds=5,
+        alone=True,
+    )
 
 
 def medians_ms(
@@ -51,13 +57,16 @@ def medians_ms(
     return {way: statistics.median(taken) for way, taken in taken_ms.items()}
 
 
-def median_figures(rows: Rows, figures: Mapping[str, Told]) -> dict[str, Value]:
-    """Medians over repetitions, of cases that were run and of ways that there are on this machine."""
+def median_figures(figures: Sequence[Figure], rows: Rows) -> dict[str, Value]:
+    """Medians over repetitions. A figure's key says what it tells: `case.way`, or `case.way/other` for how many times
+    the other way it is. Left out: cases that were not run, and ways that this machine does not have."""
     found: dict[str, Value] = {}
-    for key, (case, way, against) in figures.items():
-        values = [row[way] / (row[against] if against else 1.0) for row in rows.get(case, ()) if way in row]
+    for figure in figures:
+        case, _, told = figure.key.partition(".")
+        way, _, other = told.partition("/")
+        values = [row[way] / (row[other] if other else 1.0) for row in rows.get(case, ()) if way in row]
         if values:
-            found[key] = Quantile(values, 50.0)
+            found[figure.key] = Quantile(values, 50.0)
     return found
 
 

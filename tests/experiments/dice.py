@@ -20,6 +20,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
     sides: int = 6
     seconds: float = 0.0  # that a throw takes
+    colours: tuple[str, ...] = ("white",)
 
 
 def run(seed: int, case: str, settings: Settings) -> list[Row]:

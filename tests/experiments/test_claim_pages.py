@@ -11,7 +11,7 @@ from agent.cli import experiments
 from agent.core.config import ConfigError
 from agent.experiments import code_state, pages, registry
 from agent.experiments.claim import Figure, Measured
-from agent.experiments.pages import OLDER, PAGES, all_pages, digits, interval_of
+from agent.experiments.pages import OLDER, PAGES, all_pages, digits, interval_of, with_headlines
 from agent.experiments.results import KEPT, keep, read_kept, tell
 from agent.process.command import Failed
 from tests.experiments import dice
@@ -30,7 +30,13 @@ def test_the_pages_say_what_the_results_say() -> None:
         path = ROOT / PAGES / name
         if not path.exists() or without_age(path.read_text(encoding="utf-8")) != without_age(text):
             wrong.append(name)
-    assert not wrong, "write them with: aucamp experiment docs"
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    assert not wrong and with_headlines(readme, ROOT) == readme, "write them with: aucamp experiment docs"
+
+
+def test_the_readme_names_figures_that_there_are() -> None:
+    for name, key in registry.HEADLINES:
+        assert key in {figure.key for figure in registry.load(registry.CLAIMS[name].module).figures}
 
 
 def test_every_result_is_of_a_claim_and_every_page_of_one() -> None:
@@ -75,7 +81,7 @@ def test_what_is_not_shown_is_3_and_what_is_met_0(checkout: Path) -> None:
     ("options", "said"),
     [
         (("--only", "three"), "--only three: choose from one, another"),
-        (("--set", "eyes=3"), "--set eyes=3: write NAME=VALUE, NAME one of sides, seconds"),
+        (("--set", "eyes=3"), "--set eyes=3: write NAME=VALUE, NAME one of sides, seconds, colours"),
         (("--set", "sides=many"), "Expected `int`, got `str`"),
     ],
 )

@@ -1,14 +1,13 @@
-"""The detection experiment runs and counts honestly; its truth is the outline that a sphere has."""
+"""The detection claim counts honestly; its truth is the outline that a sphere has."""
 
-import json
 import math
 
 import numpy as np
 import pytest
 
 from agent.core.ranging.camera_model import CameraFit
-from agent.experiments.detection import Settings, outline, run, table
-from agent.experiments.experiment import write_result
+from agent.experiments.claim import Share
+from agent.experiments.detection import Settings, outline, run, summary
 
 CAMERA = CameraFit(width_px=320, height_px=240, f_px=600.0, cx_px=159.5, cy_px=119.5)
 
@@ -41,17 +40,15 @@ def test_what_stands_in_front_is_not_the_balls_border():
     assert truth.visible == pytest.approx(0.5, abs=0.03)
 
 
-def test_a_small_run(tmp_path):
-    shown = []
-    result = run(Settings(count=2, waters=("tap",)), lambda *at: shown.append(at))
-    write_result(result, tmp_path)
-    assert json.loads((tmp_path / "result.json").read_text()) == result.as_json()
-    assert shown[-1] == (2, 2)
-    whole = [case for case in result.cases if case["range_m"] == [0.25, 1.5] and case["image"] == "raw"]
-    assert [case["focus"] for case in whole] == ["sharp", "defocused"]
-    for case in whole:
-        assert case["found"] == case["frames"] >= 1  # one place shows too little of the ball
-        assert case["false"] == 0 and case["pictures"] == 4
-        assert case["centre_p95_px"] < 3.0
-    assert (result.seed, result.sensor, result.places) == (0, "imx519_640", 2)
-    assert table(result).row_count == 8, "four images, sharp and defocused"
+def test_a_small_run():
+    rows = run(0, "tap", Settings(places=2))
+    raw = [row for row in rows if row["way"] == "raw"]
+    assert [row["focus"] for row in raw] == ["sharp", "defocused"]
+    for row in raw:
+        assert row["found"] == row["frames"] >= 1  # one place shows too little of the ball
+        assert row["false"] == 0 and row["pictures"] == 4
+        assert max(row["centre_px"]) < 3.0
+    found = summary({"tap": rows})
+    assert found["tap_found"] == Share(*(sum(row["frames"] for row in raw),) * 2)
+    assert found["raw_false"] == Share(0, 8)
+    assert found["raw_sharp_centre_px"] == max(raw[0]["centre_px"])

@@ -1,13 +1,12 @@
-"""The detection experiment on a folder of pictures counts honestly, and says in one line what a truth.csv lacks."""
-
-import json
+"""The detection claim on a folder of pictures counts honestly, and says in one line what a truth.csv lacks."""
 
 import cv2
 import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
-from agent.experiments.detection_pictures import Settings, figures, marked_pictures, run, table
+from agent.experiments.claim import Share
+from agent.experiments.detection_pictures import Settings, marked_pictures, run, summary
 from tests.perception.painted import grain
 from tests.places import DATA
 
@@ -33,31 +32,36 @@ def pool(tmp_path_factory):
     return folder
 
 
+def seen(folder):
+    """Rows and figures of a folder."""
+    rows = run(0, "all", Settings(folder=str(folder)))
+    return rows, summary({"all": rows})
+
+
 def test_found_missed_and_false(pool):
-    done = []
-    result = run(Settings(folder=pool), lambda *at: done.append(at))
-    assert done[-1] == (2, 2)
-    content = json.loads(json.dumps(result.as_json()))
-    assert content["pictures"] == 2
-    red, yellow = content["balls"]["red"], content["balls"]["yellow"]
-    assert (red["marked"], red["found"]) == (1, 1) and red["radius_error_median"] < 0.05
-    assert yellow == {"marked": 1, "found": 0, "radius_error_median": None}
-    assert content["balls"]["green"]["marked"] == 0
+    rows, figures = seen(pool)
+    assert [row["file"] for row in rows] == ["a.png", "b.png"]
+    assert figures["red_found"] == Share(1, 1) and figures["red_radius_percent"].values[0] < 5.0
+    assert figures["yellow_found"] == Share(0, 1) and "yellow_radius_percent" not in figures
+    assert not any(key.startswith("green") or "small" in key for key in figures)
     # The yellow one that was marked elsewhere, the red one of b under red, and under orange, which looks the same.
-    false = [(row["file"], row["colour"]) for row in content["cases"] if row["marked"] is None]
-    assert sorted(false) == [("a.png", "yellow"), ("b.png", "orange"), ("b.png", "red")]
-    assert content["false"] == 3 and result.failed
-    assert [row["radius_px"] for row in content["by_radius"]] == [[10.0, 16.0], [10.0, 16.0]]
-    assert len(table(result).renderables) == 5, "table, false, sigma, two targets missed"
-    assert [name for name, _ in figures(result)] == ["sheet_001.png"]
+    assert sorted((row["file"], false[0]) for row in rows for false in row["false"]) == [
+        ("a.png", "yellow"),
+        ("b.png", "orange"),
+        ("b.png", "red"),
+    ]
+    assert figures["false"] == 3.0 and figures["within_3_sigma"] == Share(1, 1)
 
 
 def test_a_folder_without_truth_holds_no_ball(tmp_path):
     picture(tmp_path / "a.png")
     assert marked_pictures(tmp_path) == [(tmp_path / "a.png", [])]
-    result = run(Settings(folder=tmp_path), lambda *at: None)
-    assert (result.pictures, result.false, result.failed, result.within_sigma) == (1, 0, False, None)
-    assert "nothing is said of found ones" in table(result).renderables[-1]
+    assert seen(tmp_path)[1] == {"false": 0.0}
+
+
+def test_no_folder_is_one_line():
+    with pytest.raises(ConfigError, match="--set folder=DIR"):
+        run(0, "all", Settings())
 
 
 @pytest.mark.parametrize(
@@ -99,8 +103,9 @@ def test_real_balls(tmp_path, folder, name, colour):
     rows = [line for line in (source / "truth.csv").read_text().splitlines() if line.startswith(("file", name))]
     (tmp_path / "truth.csv").write_text("\n".join(rows))
     (tmp_path / name).symlink_to(source / name)
-    ball = run(Settings(folder=tmp_path), lambda *at: None).balls[colour]
-    assert (ball["marked"], ball["found"]) == (1, 1) and ball["radius_error_median"] < 0.06
+    (row,), _ = seen(tmp_path)
+    (ball,) = (ball for ball in row["balls"] if ball["colour"] == colour)
+    assert ball["found"] and ball["radius_percent"] < 6.0
 
 
 @pytest.mark.skipif(
@@ -109,4 +114,4 @@ def test_real_balls(tmp_path, folder, name, colour):
 def test_a_vignetted_view_is_no_ball(tmp_path):
     for name in ("csula_front035.jpg", "csula_front019.jpg"):
         (tmp_path / name).symlink_to(DATA / "real_water" / "no_balls" / name)
-    assert run(Settings(folder=tmp_path), lambda *at: None).false == 0
+    assert seen(tmp_path)[1]["false"] == 0.0

@@ -28,7 +28,7 @@ from agent.experiments.localization.lockstep import (
 )
 from tests.sample_messages import estimate
 from tests.studies.liar.attack import FIRST, LAST, LiarCase, attacked, bumped, told
-from tests.studies.liar.claim import CLAIM, summary
+from tests.studies.liar.claim import CASES, CLAIM, summary
 from tests.studies.liar.moving import attacked_moving
 from tests.studies.liar.search import CLAIM_M, best_lies, bound_m, conclusions
 
@@ -196,4 +196,12 @@ def test_what_has_to_hold_in_any_draw_is_told_as_the_share_in_which_it_does() ->
     assert found["mesh-3_often_mm"] == Quantile([9.0, 9.0], 95.0)
     assert found["bumped-30_share"] == Quantile([0.7], 50.0)
     assert "key_gone" not in found
-    assert found.keys() - {figure.key for figure in CLAIM.figures} >= {"mesh-3_half_mm"}
+
+
+def test_every_figure_is_found_and_every_fleet_is_in_one() -> None:
+    row = {"moved_mm": 1.0, "over_bound": 1.0, "after_2_mm": 0.0, "after_10_mm": 0.0, "share": None}
+    found = summary({case: [{"fleet": name, **row} for name in fleets] for case, fleets in CASES.items()})
+    keys = {figure.key for figure in CLAIM.figures}
+    assert keys <= found.keys()
+    one_by_one = {key.split("_")[0] for key in keys}
+    assert {name for fleets in CASES.values() for name in fleets} - one_by_one == {"key-gone-3", "key-gone-5"}

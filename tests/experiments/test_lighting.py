@@ -1,52 +1,25 @@
-"""A small run of the experiment, its tables and figures; what lost messages leave burning."""
-
-import math
+"""Policies, what lost messages leave burning, and what the claims on light make of their rows."""
 
 import numpy as np
 import pytest
 
-from agent.experiments import lighting
-from agent.experiments.dark_water import DarkWater, correlation, stand
-from agent.experiments.lighting import after_loss, missed, scored, sets_for
-from agent.experiments.veil_monte_carlo import smoothed
+from agent.experiments.claim import Quantile, Share
+from agent.experiments.dark_water import DarkWater, stand
+from agent.experiments.lighting import NEIGHBOURS, Sweeps, after_loss, correlation, ratio, scored, sets_for, summary
+from tests.bench.light import bench_leases, bench_night
+from tests.studies.veil import claim as veil
+from tests.studies.veil.tables import smoothed
 
 
-@pytest.fixture(scope="module")
-def result() -> lighting.Result:
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(lighting, "LADDER_M", (1.25,))
-        patch.setattr(lighting, "SIZES", (2,))
-        patch.setattr(lighting, "model_check", lambda *_: MODEL)
-        return lighting.run(lighting.Settings(seed=3, scenes=1, draws=4, waters=("harbour",)), lambda *_: None)
-
-
-MODEL = {
-    "veil_first_order": 0.01,
-    "veil_all_orders": 0.1,
-    "twin_veil_first_order": 0.01,
-    "twin_veil_all_orders": 0.1,
-    "ms_per_lamp": 8.0,
-    "correlation": {"harbour": None},
-}
-
-
-def test_a_neighbours_lamp_is_worth_more_than_the_own_one(result: lighting.Result) -> None:
-    of = {row["policy"]: row for row in result.cases if row["distance_m"] == 1.25}
-    assert of["rule"]["accepted"] == 1.0
-    assert of["own"]["sigma_mm"] is None or of["own"]["sigma_mm"] > 2 * of["rule"]["sigma_mm"]
-
-
-def test_there_is_a_row_for_each_policy_and_one_with_losses(result: lighting.Result) -> None:
-    fleets = [(row["policy"], row["loss"]) for row in result.cases if row["distance_m"] is None]
-    assert sorted(fleets) == sorted(
-        [("own", 0.0), ("all", 0.0), ("common", 0.0), ("rule", 0.0), ("rule", 0.3), ("optimum", 0.0)]
-    )
-    assert all(row["sweeps"] == 2 for row in result.cases if row["distance_m"] is None)
-
-
-def test_it_can_be_shown(result: lighting.Result) -> None:
-    assert lighting.table(result) is not None
-    assert [name for name, _ in lighting.figures(result)] == ["sigma.png", "usable.png"]
+def test_a_neighbours_lamp_is_worth_more_than_the_own_one() -> None:
+    sea = DarkWater("harbour", 3)
+    sea.prepare()
+    stands = {"r1": stand(1.25, 0.0), **{name: stand(*place) for name, *place in NEIGHBOURS}}
+    sweeps = Sweeps(sea, stands, 6, 0)
+    own, rule = (sweeps.of("r1", sweeps.by(policy)["r1"]) for policy in ("own", "rule"))
+    assert rule.accepted == 1.0 and rule.sigma_mm is not None
+    assert own.sigma_mm is None or own.sigma_mm > 2 * rule.sigma_mm
+    assert len(sweeps.logs()) == (1 if own.sigma_mm is None else 2)
 
 
 def test_lost_messages_leave_a_lender_dark_and_a_sweeper_with_its_own_lamp() -> None:
@@ -62,7 +35,7 @@ def test_the_optimum_is_no_worse_than_the_rule_by_their_own_score() -> None:
     score = scored(sea, stands)
     rule, best = (sets_for(policy, sea, stands, score) for policy in ("rule", "optimum"))
     for name in stands:
-        assert score.of(name, best[name]).log_j >= score.of(name, rule[name]).log_j
+        assert score(name, best[name]).log_j >= score(name, rule[name]).log_j
 
 
 def test_an_outlier_is_smoothed_away_and_what_is_known_well_stays() -> None:
@@ -74,26 +47,49 @@ def test_an_outlier_is_smoothed_away_and_what_is_known_well_stays() -> None:
     assert np.abs(smoothed(drawn, error) - true).max() < 0.05
 
 
-def test_correlation_needs_sweeps_that_have_a_sigma() -> None:
-    rows = [{"sigma_mm": 2.0 * k, "log_j": -2.0 * math.log(k), "facing": False} for k in range(1, 12)]
-    assert correlation(rows) == pytest.approx(-1.0)
-    assert correlation([{**row, "sigma_mm": None} for row in rows]) is None
+def world(own_mm: float | None, rule_mm: float | None, usable: dict[str, int]) -> dict:
+    log = [[10.0 - k, 1.0 + 0.5 * k] for k in range(4)]
+    counts = {
+        size: {**dict.fromkeys(("own", "all", "common", "rule", "optimum", "lossy"), 1), "of": 2} for size in "23"
+    }
+    row = {"own_mm": own_mm, "rule_mm": rule_mm, "times_own": ratio(rule_mm, own_mm), "farther": 2.0, "logs": log}
+    return {**row, "usable": {**counts, "5": {**dict.fromkeys(("all", "common", "lossy"), 0), **usable}}}
 
 
-def test_what_is_missed_is_said(result: lighting.Result) -> None:
-    assert not missed(result.cases, MODEL, 1)  # no verdict of one fleet
-    slow = {**MODEL, "ms_per_lamp": 30.0, "twin_veil_first_order": 0.1}
-    assert missed([], slow, 4) == ["twin_veil_first_order", "ms_per_lamp"]
-    ladder = [
-        {
-            "water": "harbour",
-            "robots": 3,
-            "policy": policy,
-            "loss": 0.0,
-            "distance_m": 1.25,
-            "sigma_mm": sigma,
-            "accepted": 1.0,
-        }
-        for policy, sigma in (("own", 12.0), ("rule", 5.0))
+def test_a_robot_without_a_peak_by_its_own_lamp_has_all_to_gain() -> None:
+    worlds = [
+        world(None, 4.0, {"own": 2, "rule": 4, "optimum": 5, "of": 5}),
+        world(20.0, 5.0, {"own": 5, "rule": 4, "optimum": 4, "of": 5}),
+        world(20.0, None, {"own": 0, "rule": 0, "optimum": 1, "of": 5}),
     ]
-    assert len(missed(ladder, MODEL, 4)) == 2
+    found = summary({"harbour": worlds})
+    assert found["harbour_times_own"] == Quantile([0.0, 0.25, None], 50.0)
+    assert found["harbour_rule_usable"] == Share(8, 15)
+    assert found["harbour_below"] == pytest.approx(100.0 * 2 / 15)
+    assert found["harbour_gain"] == 0.0  # of two and three robots; of five it is more
+    assert found["harbour_correlation"] == pytest.approx(-1.0)
+    assert correlation(worlds[0]["logs"]) is None
+
+
+def test_places_that_are_too_far_off_are_counted() -> None:
+    row = {"kernel_first": -0.03, "kernel_every": 0.1, "twin_first": 0.0, "twin_every": -0.31}
+    found = veil.summary({"bay": [row], "coastal": [dict.fromkeys(row, 0.01)]})
+    assert found["kernel_first"] == Share(1, 2) and found["twin_first"] == Share(2, 2)
+    assert found["twin_every_worst"] == pytest.approx(31.0)
+
+
+def test_a_dive_in_which_a_robot_knows_nothing_is_not_right() -> None:
+    robot = {"nees": 3.0, "nis": None, "epochs": 0, "first_s": 5.0, "kept": 3, "by_lent": 3, "rejected": 1}
+    blind = {**robot, "nees": None, "epochs": 1, "first_s": None, "kept": 0, "by_lent": 0}
+    right = {"settled_s": 90.0, "worst_percent": 0.2, "robots": [robot, robot]}
+    lost = {"settled_s": None, "worst_percent": None, "robots": [robot, blind]}
+    found = bench_night.summary({"night": [right, lost]})
+    assert found["night_right"] == Share(1, 2) and found["night_steady"] == Share(3, 4)
+    assert found["night_seen"] == Quantile([5.0, None], 50.0)
+    assert found["night_nees"] == 3.0 and found["night_nis"] is None
+
+
+def test_sweeps_that_counted_wrongly_are_a_share_of_those_that_counted() -> None:
+    dive = {"counted": 8, "wrong": 1, "lent": 6, "spoiled": 1, "others": 1}
+    found = bench_leases.summary({"storm": [dive, dive]})
+    assert found["storm_wrong"] == Share(2, 16) and found["storm_spoiled"] == Share(2, 20)

@@ -1,16 +1,14 @@
-"""The orientation experiment in small: real firmware processes, the twin's water, a result to read."""
+"""The orientation experiment in small: real firmware processes, the twin's water; and what counts as settled."""
 
 from __future__ import annotations
 
-import json
 import os
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from agent.experiments.experiment import spread, write_figures, write_result
+from agent.experiments.claim import NoSettings, Quantile, Share
 from agent.experiments.orientation import (
     HOVER_S,
     LIMIT_S,
@@ -18,92 +16,56 @@ from agent.experiments.orientation import (
     PUSH,
     SAMPLE_S,
     STAY_S,
-    Case,
-    Settings,
+    STRANGE,
     Track,
-    controllers_table,
-    figures,
     for_good_s,
-    groups,
-    missed,
+    mass_scale_of,
     respond,
     run,
     score_push,
     score_step,
-    stability_table,
-    table,
+    summary,
 )
 from agent.process.command import Failed
+from hw.twin.physics.tank import Plant
 
 
 def children() -> set[str]:
     return set(Path(f"/proc/{os.getpid()}/task/{os.getpid()}/children").read_text().split())
 
 
-def test_every_law_meets_the_same_robots():
-    first, second = (list(groups(3, 12, law, lag_s)) for law, lag_s in (("observer", 0.10), ("pi", 0.15)))
-    assert [len(g.cases) for g in first] == [5, 5, 2]
-    assert len({g.world for g in first}) == 3
-    assert [(g.world, [c.mass_scale for c in g.cases]) for g in first] == [
-        (g.world, [c.mass_scale for c in g.cases]) for g in second
-    ]
-    scales = sorted(c.mass_scale for g in first for c in g.cases)
-    assert scales[0] == pytest.approx(1 - MASS_SPREAD, abs=0.02) and scales[-1] == pytest.approx(
-        1 + MASS_SPREAD, abs=0.02
-    )
-    assert {g.world for g in groups(4, 12, "pi", 0.10)}.isdisjoint(g.world for g in first)
-
-
-@pytest.mark.slow
-def test_a_small_experiment_from_end_to_end(tmp_path):
-    steps = []
+def test_a_robot_is_pushed_and_sent_down():
     before = children()
-    settings = Settings(seeds=1, laws=("observer",), lags_s=(0.10,))
-    result = run(settings, lambda done, total: steps.append((done, total)))
+    (row,) = run(3, "observer", NoSettings())
     assert children() == before
-    assert steps == [(k, 5) for k in range(6)]  # one group, and mass by delay
-    observer = result.controllers["observer"]
-    assert observer["push_recovery_s"]["never"] == observer["step_settle_s"]["never"] == 0
-    assert 0.1 < observer["push_recovery_s"]["median"] < 1.5
-    assert 0.3 < observer["step_settle_s"]["median"] < 1.5
-    assert 0 < observer["hover_depth_rms_mm"] < 1.0 and 0 < observer["hover_tilt_rms_deg"] < 0.2
-    assert all(line["stable"] for line in result.stability)
-    assert len(result.cases) == 1 + 4
-    for row in result.cases:
-        assert row["failsafe"] == 0 and not row["disarmed"]
-        assert row["push_tilt_deg"] > 5.0 and row["push_off_mm"] > 10.0, "the push was felt"
-        assert row["deepest_m"] > 0.40, "the step was gone"
-    assert controllers_table(result).row_count == 1 and stability_table(result).row_count == 4
-    assert any(str(line).startswith("twin, firmware under") for line in table(result).renderables)
-    write_result(result, tmp_path)
-    assert json.loads((tmp_path / "result.json").read_text()) == result.as_json()
-    write_figures(figures(result), tmp_path)
-    for name in ("orientation_push", "orientation_step"):
-        assert (tmp_path / f"{name}.svg").read_text().count("T4") == 1
-        assert (tmp_path / f"{name}.png").stat().st_size > 10_000
+    assert 0.1 < row["recovery_s"] < 1.5 and 0.3 < row["settle_s"] < 1.5
+    assert 0 < row["hover_depth_rms_mm"] < 1.0 and 0 < row["hover_tilt_rms_deg"] < 0.2
+    assert row["push_tilt_deg"] > 5.0 and row["push_off_mm"] > 10.0, "the push was felt"
 
 
-def test_thrusters_far_too_slow_for_the_law_are_seen_to_fail(tmp_path):
-    (response,) = respond([Case("observer", 0, 1.5, 1.0)], PUSH, 7, tmp_path, sys.executable)
-    scored = score_push(response.track, PUSH.goal_m, HOVER_S)
-    assert scored["recovery_s"] is None
+def test_thrusters_far_too_slow_for_the_law_are_seen_to_fail():
+    track = respond("observer", Plant(lag_s=1.5), PUSH, 7)
+    assert score_push(track, PUSH.goal_m, HOVER_S)["recovery_s"] is None
 
 
-def test_a_law_that_the_firmware_does_not_have_is_told(tmp_path):
+def test_a_law_that_the_firmware_does_not_have_is_told():
     with pytest.raises(Failed, match="did not arm"):
-        respond([Case("wish", 0, 0.1, 1.0)], PUSH, 7, tmp_path, sys.executable)
+        respond("wish", Plant(), PUSH, 7)
 
 
-def test_missed_targets_are_named():
-    good = {
-        "push_recovery_s": {"median": 0.9, "p95": 1.2, "never": 0},
-        "step_settle_s": {"median": 0.8, "p95": 1.0, "never": 0},
-        "hover_depth_rms_mm": 0.2,
-        "hover_tilt_rms_deg": 0.1,
-    }
-    assert missed(good) == []
-    bad = good | {"hover_tilt_rms_deg": 0.31, "push_recovery_s": {"median": 0.9, "p95": None, "never": 2}}
-    assert missed(bad) == ["push_recovery_s p95 never, target 1.5", "hover_tilt_rms_deg 0.31, target 0.2"]
+def test_robots_differ_in_mass():
+    scales = [mass_scale_of(seed) for seed in range(50)]
+    assert 1 - MASS_SPREAD < min(scales) < 0.9 and 1.1 < max(scales) < 1 + MASS_SPREAD
+
+
+def test_a_robot_that_never_recovers_is_slower_than_all_and_not_stable():
+    fine = dict.fromkeys(("recovery_s", "settle_s", "hover_depth_rms_mm", "hover_tilt_rms_deg"), 0.5)
+    fine |= {"push_tilt_deg": 9.0, "overshoot_mm": 3.0}
+    never = fine | {"recovery_s": None}
+    strange = [{"robot": name, **(never if k == 1 else fine)} for k, name in enumerate(STRANGE)]
+    told = summary({"pi": [fine, never], "stability": strange})
+    assert told["pi_push_p95_s"] == Quantile([0.5, None], 95.0) and told["pi_hover_mm"] == 0.5
+    assert [told[f"stability_{name}"] for name in STRANGE] == [Share(1, 1), Share(0, 1), Share(1, 1), Share(1, 1)]
 
 
 # --- orientation settling ---
@@ -135,7 +97,7 @@ def test_passing_through_the_band_is_not_settling():
     assert for_good_s(good) == pytest.approx(0.9)
 
 
-def test_who_leaves_after_the_limit_never_settled():
+def test_a_robot_that_leaves_after_the_limit_never_settled():
     good = np.ones(WATCH, bool)
     good[round(LIMIT_S / SAMPLE_S) + 20] = False
     assert for_good_s(good) is None
@@ -172,13 +134,3 @@ def test_step_settles_and_overshoots_in_either_direction(start_m, goal_m):
     scored = score_step(track(depth_m=depth_m), start_m, goal_m)
     assert scored["settle_s"] == pytest.approx(0.9, abs=0.011)
     assert scored["overshoot_mm"] == pytest.approx(15.0)
-
-
-def test_spread_counts_the_never_as_slower_than_all():
-    assert spread([0.1 * k for k in range(1, 21)]) == {
-        "median": pytest.approx(1.05),
-        "p95": pytest.approx(1.9),
-        "never": 0,
-    }
-    assert spread([0.5] * 18 + [None] * 2) == {"median": 0.5, "p95": None, "never": 2}
-    assert spread([0.5, None]) == {"median": None, "p95": None, "never": 1}

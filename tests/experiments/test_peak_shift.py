@@ -1,13 +1,10 @@
-"""The peak-shift experiment measures what a way of enhancement does, and nothing where it does nothing."""
-
-import json
+"""The peak-shift claim measures what a way of enhancement does, and nothing where it does nothing."""
 
 import numpy as np
 import pytest
 
-from agent.experiments import peak_shift as experiment
-from agent.experiments.experiment import write_result
-from agent.experiments.peak_shift import Settings, Way, mm_per_position, shifts, table
+from agent.experiments import peak_shift as claim
+from agent.experiments.peak_shift import Settings, mm_per_position, shifts
 from agent.experiments.still_camera import WATER_INDEX
 from agent.perception.depth_peaks import GridPeaks, Reason
 from agent.perception.depth_sweep import DepthMap
@@ -15,23 +12,20 @@ from hw.twin.optics.lens import draw_lens
 from hw.twin.scene import generator
 
 
-def test_a_way_that_does_nothing_moves_nothing_and_one_that_turns_the_gain_does(monkeypatch, tmp_path):
+def test_a_way_that_does_nothing_moves_nothing_and_one_that_turns_the_gain_does(monkeypatch):
     """A gain that rises over the sweep pulls every peak to its end."""
-    same = Way("same", lambda sweep: sweep)
-    rising = Way(
-        "rising", lambda sweep: [np.uint8(image * (0.8 + 0.2 * k / len(sweep))) for k, image in enumerate(sweep)]
-    )
-    done = []
-    monkeypatch.setattr(experiment, "ways", lambda: [same, rising])
-    result = experiment.run(Settings(waters=("tap",), views=1), lambda *at: done.append(at))
-    assert done == [(0, 1), (1, 1)] and (result.sensor, result.views) == ("imx519_640", 1)
-    write_result(result, tmp_path)
-    assert json.loads((tmp_path / "result.json").read_text()) == result.as_json()
-    assert table(result).row_count == 2
-    still, moved = result.cases
-    assert still["common"] == still["blocks_raw"] > 10
-    assert still["median_steps"] == still["p95_steps"] == still["p95_mm"] == 0.0
+
+    def rising(sweep):
+        return [np.uint8(image * (0.8 + 0.2 * k / len(sweep))) for k, image in enumerate(sweep)]
+
+    monkeypatch.setattr(claim, "ways", lambda plain: {"classic": lambda sweep: sweep, "fast": rising})
+    still, moved = rows = claim.run(0, "tap", Settings(views=1))
+    assert still["enhanced"] == still["raw"] > 10
+    assert still["median_steps"] == still["p95_mm"] == 0.0
     assert moved["mean_steps"] > 0.05 and moved["median_mm"] > 1.0
+    found = claim.summary({"tap": rows, "turbid": rows})
+    assert found["classic_kept"] == 100.0 and found["fast_mean_steps"] == pytest.approx(moved["mean_steps"])
+    assert not any(key.startswith(("plain", "held")) for key in found)
 
 
 def test_millimetres_per_lens_position_are_the_slope_of_the_lens_equation():
@@ -48,4 +42,4 @@ def test_nothing_in_common_is_no_figure():
     empty = np.full((2, 2), np.nan)
     blocks = GridPeaks(empty, empty, empty, empty, np.full((2, 2), Reason.NO_TEXTURE, np.uint8))
     found = DepthMap(50, blocks, None, np.zeros((100, 100, 3), np.uint8), 0.0)
-    assert shifts([found], [found], [empty], 35.0) == {"blocks_raw": 0, "blocks": 0, "common": 0}
+    assert shifts([found], [found], [empty], 35.0) == {}

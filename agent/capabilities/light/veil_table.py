@@ -1,6 +1,6 @@
 """Veil of all orders of scattering over that of one, as logarithms.
 
-Made by `python -m agent.experiments.veil_monte_carlo kernel`.
+Made by `python -m tests.studies.veil.tables kernel`.
 
 Beam of 25 degrees, a black ball of 70 mm at 1.25 m. Monte Carlo to a standard error of 5 %, then smoothed.
 Order of the axes: TAU, SCATTERING_SHARE, ANGLE_DEG, RATIO; a line holds the ratios of three angles.

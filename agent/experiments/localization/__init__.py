@@ -1,1 +1,1 @@
-"""Protocols of agreement against the Cramér-Rao bound, and against robots that lie."""
+"""Protocols of agreement against the Cramér-Rao bound, in a world where all robots go in lock-step."""

@@ -221,7 +221,7 @@ def _root(covariance: Array) -> Array:
 
 
 # --- signatures that cost nothing and cannot be forged: hashes, in a world where no robot makes another's ---
-# What Ed25519 costs is measured elsewhere (python -m tests.bench signing); here a dive has 10,000 signatures to check,
+# What Ed25519 costs is measured elsewhere (`aucamp experiment messages`); here a dive has 10,000 signatures to check,
 # and only what they are good for counts. Everything else is as in the agents: which robot signs, what, and which one
 # checks.
 

@@ -269,7 +269,7 @@ CLAIM = Claim(
     quick={"target_s": 15.0, "robots": 4, "crossing_s": 10.0, "aid_s": 12.0},
     measured_on="twin",
     figures=(
-        *_crossing_figures("separation", "ten robots swim to and fro for a minute"),
+        *_crossing_figures("separation", "ten robots swim to and fro for 30 s"),
         *_crossing_figures("separation-loss", "the same, 30 % of words lost"),
         Figure("target_mm", "the ball's place, three robots around it: off, rms", "mm"),
         Figure("target_bound_mm", "the same of one filter that has all measurements", "mm"),

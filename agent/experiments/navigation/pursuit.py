@@ -197,7 +197,9 @@ def search(seed: int, robots: int = ROBOTS, search_s: float = SEARCH_S) -> Row:
     poses, ball_m = starts(seed)
     fleet = basin.linked(poses[:robots], seed, AHEAD, [Search(target="ball")] * robots)
     swimmers = Swimmers(fleet, PlanarBodies(fleet), ball_m)
-    any(any(map(swimmers.swims, fleet.robot)) for _ in swimmers.each_step(SEARCH_FIND_S))
+    for _ in swimmers.each_step(SEARCH_FIND_S):
+        if any(map(swimmers.swims, fleet.robot)):
+            break
     found_s, least_m, told = None, math.inf, 0
     for now_s in swimmers.each_step(search_s + TELLS_S):
         least_m = min(least_m, swimmers.least_apart_m())

@@ -1,190 +1,100 @@
-"""What certificates and access rules cost: the same fleet on tls/ with its rules, and on tcp/ without any, in turns.
-
-Round trips and puts between two sessions of one process; the start of ten robots that all hear all, each a process of
-its own; how soon a recorder hears every row, and a robot whose certificate has ended is linked once it has a new one.
-"""
+"""What certificates and access rules cost: the same fleet on tls/ with its rules, and on tcp/ without any, in turns."""
 
 from __future__ import annotations
 
-import statistics
 import subprocess
-import sys
 import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from datetime import UTC, datetime, timedelta
 from functools import partial
 from pathlib import Path
 
+import msgspec
 import zenoh
-from msgspec.structs import replace
 
 from agent.core import topics
-from agent.core.config import Access, Fleet, dump
-from agent.demo.demo import demo_fleet, listening
-from agent.ground.new_fleet import make_all
-from agent.process.certificates import authority, certificate_file, issue, key_file, write
+from agent.experiments.claim import Claim, Figure, Row, Rows, Value
 from agent.process.launch import free_ports
 from replay.recorder import Arrivals, receiving
 from router_config.session import Session
 from router_config.settings import peer_config
-from tests.places import ROOT
+from tests.bench.network.processes import Made, in_one_line, made, python, within
+from tests.bench.timing import median_figures, medians_ms
 from tests.waiting import until
 
-ROUNDS = 7  # of each kind, one after the other
-PINGS, PUTS = 300, 1500
-SIZE, LARGE = 600, 25_000  # bytes: an estimate, a picture
-TEN = tuple(f"r{k}" for k in range(1, 11))
-STARTS = 5
-
-Pair = tuple[zenoh.Session, zenoh.Session]
+KINDS = ("tcp", "tls")
+PINGS, SIZE = 300, 600  # SIZE: bytes, of an estimate
+WITHIN_S = 2.0  # a recorder hears every row
+TEN = 10
 
 
-def run() -> dict[str, dict]:
-    ports = iter(free_ports(2 * (2 + len(TEN))))
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """What can be asked."""
+
+    times: int = 9  # of each measurement but the start of ten robots
+
+
+@in_one_line()
+def run(seed: int, case: str, settings: Settings) -> list[Row]:
     with tempfile.TemporaryDirectory() as folder:
-        fleets = {kind: two(Path(folder) / kind, kind, ports) for kind in ("tcp", "tls")}
-        rows = figures("access_open", "ms", 1e3, in_turns(fleets, opening))
-        with ExitStack() as stack:
-            pairs = {kind: stack.enter_context(linked(*fleets[kind])) for kind in fleets}
-            rows |= figures("access_round_trip", "us", 1e6, in_turns(pairs, round_trip_s))
-            for name, size in (("estimate", SIZE), ("picture", LARGE)):
-                rows |= figures(f"access_put_{name}", "us each", 1e6, in_turns(pairs, partial(put_s, size=size)))
-        rows |= seconds("access_every_row", [every_row_s(*fleets["tls"]) for _ in range(ROUNDS)])
-        rows |= seconds("access_renewed", [renewed_s(*fleets["tls"]) for _ in range(3)])
-        tens = {kind: ten(Path(folder) / f"ten_{kind}", kind, ports) for kind in fleets}
-        mute: list[str] = []
-        for name, ready in (("links", True), ("start", False)):
-            start = partial(start_s, ready=ready, mute=mute)
-            rows |= figures(f"access_{name}_of_ten", "s", 1.0, in_turns(tens, start, STARTS))
-        for line in mute:
-            print(f"never heard: {line}")
-        starts = f"of {4 * (STARTS + 1)} starts with 45 links each, tcp and tls"
-        return rows | {"access_mute_links": {"value": len(mute), "unit": starts, "against": None, "ratio": None}}
+        return CASES[case](Path(folder), settings.times)
 
 
-def in_turns(of: dict, measure: Callable, rounds: int = ROUNDS) -> dict[str, list[float]]:
-    """Figures of each kind, one of each after the other; the first round warms up."""
-    found: dict[str, list[float]] = {kind: [] for kind in of}
-    for number in range(rounds + 1):
-        for kind in list(of)[:: 1 if number % 2 else -1]:
-            value = measure(of[kind])
-            if number:
-                found[kind].append(value)
-    return found
-
-
-def figures(name: str, unit: str, scale: float, found: dict[str, list[float]]) -> dict[str, dict]:
-    value = statistics.median(found["tls"])
-    ratio = statistics.median(tls / tcp for tls, tcp in zip(found["tls"], found["tcp"], strict=True))
-    return {name: {"value": value * scale, "unit": unit, "against": "tcp without rules", "ratio": ratio}}
-
-
-def seconds(name: str, found: list[float]) -> dict[str, dict]:
-    return {
-        name: {"value": max(found), "unit": f"s, the worst of {len(found)}", "against": "2 s", "ratio": max(found) / 2}
-    }
-
-
-def two(folder: Path, kind: str, ports: Iterator[int]) -> tuple[Fleet, Path]:
-    return made(demo_fleet(2, None, None, None, None, folder), folder, kind, ports)
-
-
-def ten(folder: Path, kind: str, ports: Iterator[int]) -> Path:
-    """The file of a fleet of ten, all of them neighbours."""
-    fleet = demo_fleet(2, None, None, None, None, folder)
-    robots = {n: replace(fleet.robot["r1"], neighbours=tuple(o for o in TEN if o != n)) for n in TEN}
-    robots = {n: replace(robot, serial=f"twin:{n}", camera=f"twin:{n}") for n, robot in robots.items()}
-    made(replace(fleet, robot=robots), folder, kind, ports)
-    return folder / "fleet.toml"
-
-
-def made(fleet: Fleet, folder: Path, kind: str, ports: Iterator[int]) -> tuple[Fleet, Path]:
-    """The fleet on ports that are free, its file and its keys in `folder`."""
-    fleet = listening(fleet, [f"{kind}/127.0.0.1:{next(ports)}" for _ in fleet.robot])
-    fleet = replace(fleet, access=Access(keys="keys", consoles=("ann", "bob")))
-    make_all(fleet, folder / "keys")
-    (folder / "fleet.toml").write_text(dump(fleet), encoding="utf-8")
-    return fleet, folder / "keys"
-
-
-def session(fleet: Fleet, name: str, keys: Path) -> zenoh.Session:
-    return zenoh.open(zenoh.Config.from_json5(peer_config(fleet, name, keys if fleet.secured else None)))
-
-
-def opening(fleet: tuple[Fleet, Path]) -> float:
-    """Seconds until r1, alone, is open."""
-    began_s = time.perf_counter()
-    with session(fleet[0], "r1", fleet[1]):
-        return time.perf_counter() - began_s
-
-
-def link(fleet: Fleet, src: str, dst: str) -> str:
-    return topics.key(topics.LINK, fleet=fleet.fleet, src=src, dst=dst)
+def two_sessions(folder: Path, times: int) -> list[Row]:
+    """Round trips between two sessions of this process, in us each, medians."""
+    ports = {kind: free_ports(4)[2 * k : 2 * k + 2] for k, kind in enumerate(KINDS)}
+    with ExitStack() as stack:
+        fleets = {kind: made(folder / kind, kind, ports[kind]) for kind in KINDS}
+        ways = {kind: stack.enter_context(linked(one)) for kind, one in fleets.items()}
+        return [{way: 1e3 * ms / PINGS for way, ms in medians_ms(ways, times, time.perf_counter).items()}]
 
 
 @contextmanager
-def linked(fleet: Fleet, keys: Path) -> Iterator[Callable[[int, int, bool], float]]:
-    """r1 and r2, which sends back what it is asked to; gives what measures so many puts of a size."""
-    back, count = threading.Event(), [0]  # of what is still to come
-    with session(fleet, "r1", keys) as r1, session(fleet, "r2", keys) as r2:
-        block = zenoh.CongestionControl.BLOCK  # every one arrives, so that they can be counted
-        to_r1 = r2.declare_publisher(link(fleet, "r2", "r1"), congestion_control=block)
-        to_r2 = r1.declare_publisher(link(fleet, "r1", "r2"), congestion_control=block)
-
-        def echo(sample: zenoh.Sample) -> None:
-            count[0] -= 1
-            if sample.payload.to_bytes()[:1] == b"p":
-                to_r1.put(sample.payload)
-            elif not count[0]:
-                back.set()
-
-        def returned(_: zenoh.Sample) -> None:
-            back.set()
-
-        direct = partial(zenoh.handlers.Callback, indirect=False)
+def linked(one: Made) -> Iterator[Callable[[], None]]:
+    """r1, and r2, which sends back whatever comes; gives what sends PINGS, each when the one before is back."""
+    back = threading.Event()
+    keys = one.keys if one.fleet.secured else None
+    r1_config, r2_config = (zenoh.Config.from_json5(peer_config(one.fleet, name, keys)) for name in ("r1", "r2"))
+    there, here = (
+        topics.key(topics.LINK, fleet=one.fleet.fleet, src=src, dst=dst) for src, dst in (("r1", "r2"), ("r2", "r1"))
+    )
+    direct = partial(zenoh.handlers.Callback, indirect=False)
+    with zenoh.open(r1_config) as r1, zenoh.open(r2_config) as r2:
+        to_r1, to_r2 = r2.declare_publisher(here), r1.declare_publisher(there)
         kept = [
-            r1.declare_subscriber(link(fleet, "r2", "r1"), direct(returned)),
-            r2.declare_subscriber(link(fleet, "r1", "r2"), direct(echo)),
+            r1.declare_subscriber(here, direct(lambda _: back.set())),
+            r2.declare_subscriber(there, direct(lambda sample: to_r1.put(sample.payload))),
         ]
         until(lambda: to_r1.matching_status.matching and to_r2.matching_status.matching)
 
-        def measure(times: int, size: int, answered: bool) -> float:
-            payload, count[0], began_s = (b"p" if answered else b"q") * size, times, time.perf_counter()
-            back.clear()
-            for _ in range(times):
-                to_r2.put(payload)
-                if answered:
-                    assert back.wait(5.0)
-                    back.clear()
-            assert answered or back.wait(60.0)
-            return (time.perf_counter() - began_s) / times
+        def send() -> None:
+            for _ in range(PINGS):
+                back.clear()
+                to_r2.put(b"p" * SIZE)
+                assert back.wait(5.0), "a message never came back"
 
-        yield measure
+        yield send
         del kept
 
 
-def round_trip_s(measure: Callable) -> float:
-    return measure(PINGS, SIZE, True)
+def recorder(folder: Path, times: int) -> list[Row]:
+    one = made(folder, "tls", free_ports(2))
+    return [{"every_row_s": every_row_s(one)} for _ in range(times)]
 
 
-def put_s(measure: Callable, size: int) -> float:
-    return measure(PUTS, size, False)
-
-
-def every_row_s(fleet: Fleet, keys: Path) -> float:
+def every_row_s(one: Made) -> float:
     """From a recorder's start until it has heard every row, of robots that are up and speak 20 times a second."""
     with ExitStack() as stack:
         says = []
-        for name, robot in fleet.robot.items():
-            door = stack.enter_context(Session(peer_config(fleet, name, keys), name))
+        for name, robot in one.fleet.robot.items():
+            door = stack.enter_context(Session(peer_config(one.fleet, name, one.keys), name))
             for row in topics.TOPICS:
                 chunks = {"robot": name, "src": name, "dst": robot.neighbours[0], "console": "ann"}
-                says.append(door.publisher(row, topics.key(row, fleet=fleet.fleet, **chunks)))
+                says.append(door.publisher(row, topics.key(row, fleet=one.fleet.fleet, **chunks)))
         arrivals, began_s = Arrivals(time.time_ns), time.perf_counter()
-        stack.enter_context(receiving(fleet, arrivals, "recorder", keys))
+        stack.enter_context(receiving(one.fleet, arrivals, "recorder", one.keys))
         while not all(arrivals.counts[row.name] for row in topics.TOPICS):
             for say in says:
                 say(b"anything")
@@ -193,53 +103,61 @@ def every_row_s(fleet: Fleet, keys: Path) -> float:
         return time.perf_counter() - began_s
 
 
-def renewed_s(fleet: Fleet, keys: Path) -> float:
-    """From new files of r2, which dials, until it is linked: its certificate had ended, and it goes on running."""
-
-    def give(ends: datetime) -> None:
-        for file in (certificate_file(keys, "r2"), key_file(keys, "r2")):
-            file.unlink()
-        write(keys, "r2", issue(authority(keys), "r2", ("127.0.0.1",), ends=ends))
-
-    now = datetime.now(UTC)
-    give(now - timedelta(days=1))
-    with session(fleet, "r1", keys) as r1, session(fleet, "r2", keys):
-        time.sleep(4.0)  # its pauses between two tries are as long as they get
-        assert not list(r1.info.transports())
-        give(now + timedelta(days=1))
-        began_s = time.perf_counter()
-        until(lambda: list(r1.info.transports()))
-        return time.perf_counter() - began_s
+def ten_robots(folder: Path, times: int) -> list[Row]:
+    """One start of each kind."""
+    row = {}
+    for kind in KINDS:
+        one = made(folder / kind, kind, free_ports(TEN))
+        row[f"{kind}_s"], row[f"{kind}_mute"] = started(one)
+    return [row]
 
 
-def start_s(path: Path, ready: bool, mute: list[str]) -> float:
-    """Until each of ten processes has heard all others: from their start, or, `ready`, from when all have loaded what
-    they need and open their links. Links that stay mute one way are added to `mute`, and cost a minute."""
-    began_s = time.perf_counter()
-    command = [sys.executable, "-m", "tests.bench.network.one_of_ten", str(path)]
-    pipe = subprocess.PIPE
-    peers = {n: subprocess.Popen([*command, n], stdin=pipe, stdout=pipe, text=True, cwd=ROOT) for n in TEN}
-
-    def told() -> dict[str, str]:
-        return {name: peer.stdout.readline().strip() for name, peer in peers.items() if peer.stdout is not None}
-
-    def go() -> None:
-        for peer in peers.values():
-            assert peer.stdin is not None
-            peer.stdin.write("go\n")
-            peer.stdin.flush()
-
+def started(one: Made) -> tuple[float, int]:
+    """How long it takes from the start of ten processes until each has heard all others; links that stay mute one way,
+    which cost a minute."""
+    pipe, began_s = subprocess.PIPE, time.perf_counter()
+    words = ("-m", "tests.bench.network.one_of_ten", str(one.path))
+    peers = [python(*words, name, stdin=pipe, stdout=pipe, text=True) for name in one.fleet.robot]
     try:
-        if ready:
-            told()
-            began_s = time.perf_counter()
-            go()
-        else:
-            go()
-            told()
-        heard = told()
-        mute += [f"{path.parent.name}: {them} to {name}" for name, them in heard.items() if them != "all"]
-        return time.perf_counter() - began_s
+        told = [peer.stdout.readline().split() for peer in peers if peer.stdout is not None]
+        assert all(told), "one of ten robots ended"
+        return time.perf_counter() - began_s, sum(len(mute) for mute in told if mute != ["all"])
     finally:
-        for peer in peers.values():
+        for peer in peers:
             peer.communicate()
+
+
+CASES = {"two-sessions": two_sessions, "recorder": recorder, "ten-robots": ten_robots}
+
+
+def summary(rows: Rows) -> dict[str, Value]:
+    found = median_figures(CLAIM.figures, rows)
+    if "recorder" in rows:
+        found["in_time"] = within(rows["recorder"], "every_row_s", WITHIN_S)
+    if "ten-robots" in rows:
+        found["mute"] = float(sum(row[f"{kind}_mute"] for row in rows["ten-robots"] for kind in KINDS))
+    return found
+
+
+CLAIM = Claim(
+    run=run,
+    summary=summary,
+    settings=Settings,
+    quick={"times": 2},
+    cases=tuple(CASES),
+    measured_on="processes",
+    figures=(
+        Figure("two-sessions.tls", "600 bytes there and back, secured", "us"),
+        Figure("two-sessions.tls/tcp", "times as long as on tcp without rules", most=1.3),
+        Figure("recorder.every_row_s", "a recorder's start until it has heard every row", "s"),
+        Figure("in_time", "such starts that take no more than 2 s", "%", least=95.0),
+        Figure("ten-robots.tls_s", "ten processes start until all hear all, secured", "s"),
+        Figure("ten-robots.tls_s/tcp_s", "times as long as on tcp without rules", most=1.25),
+        Figure("mute", "links of all these starts that stay mute one way", "links"),
+    ),
+    seeds=7,
+    alone=True,
+    explanation="""The same fleets on tls/ with certificates and access rules, and on tcp/ with neither. Round trips go
+        between two sessions of one process, in turns; ten robots are ten processes, all of them neighbours, from the
+        start of Python on. Ratios are medians of runs.""",
+)

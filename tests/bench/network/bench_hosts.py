@@ -1,150 +1,185 @@
-"""Three robots on hosts of their own, with certificates and without: agreement, loss, a cut, renewal.
-
-Network namespaces with a relay between them; where these are not permitted there are no figures. The agents have real
-sessions, the real loop and the real recording; camera and motors are a script. Run apart: python -m tests.bench hosts
+"""Robots on hosts of their own: agreement and loss with certificates and without, the renewal of a certificate, and a
+stranger who opens connections, with our firewall and without.
 """
 
 from __future__ import annotations
 
 import contextlib
-import json
-import statistics
+import re
+import shutil
+import subprocess
+import sys
 import tempfile
 import time
 from collections.abc import Iterator
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
-from typing import Any
 
-from tests.network.relay import Links, Relay, refused
+import msgspec
+
+from agent.core.config import ConfigError
+from agent.experiments.claim import Claim, Figure, Row, Rows, Value
+from tests.bench.network.processes import in_one_line, needs_hosts, within
+from tests.bench.timing import median_figures
+from tests.killing import killed_after
+from tests.network.relay import SUBNET, Links, Relay
 from tests.network.secured.renewal import replace_certificate
-from tests.network.swarm_in_namespaces import WATCHER, Swarm
+from tests.network.swarm_in_namespaces import PORT, WATCHER, Swarm
+from tests.places import ROOT
 
-ROBOTS = {"r1": 0.0, "r2": 0.0, "r3": 0.0}
-ALONE = (frozenset({"r1", "r2"}), frozenset({"r3"}))
-CUT_S = 4.0  # twice a link's lease: the links have ended, and have to be dialled again
-LONG_CUT_S, CUTS = 20.0, 3
-LOSS, LOSSY_S = 0.3, 15.0
-RENEWALS, RENEWED_WANTED_S = 5, 2.0
-REFUSED_S = 4.0  # for so long nobody is linked who should not be
-PAST, LATER = timedelta(days=-1), timedelta(days=1)
+LOSS = 0.3
+RENEWED_WITHIN_S = 2.0
 
 
-def run() -> dict[str, dict[str, Any]]:
-    if refused() is not None:
-        return {}
-    with swarm_of(secured=False) as swarm:
-        plain = over_links(swarm)
-    with swarm_of(secured=True) as swarm:
-        tls = over_links(swarm)
-        renewed_s = [renewal_of_a_dialler(swarm) for _ in range(RENEWALS)]
-        listener_s = renewal_of_a_listener(swarm)
-    rows = {
-        f"hosts_{what}": {
-            "value": tls[what],
-            "unit": unit,
-            "against": "the same on tcp",
-            "ratio": tls[what] / plain[what],
-        }
-        for what, unit in UNITS.items()
-    }
-    worst = f"{RENEWED_WANTED_S:.0f} s; the slowest of {RENEWALS}"
-    slowest_s = max(renewed_s)
-    return rows | {
-        "hosts_renewed": {"value": statistics.median(renewed_s), "unit": "s", "against": None, "ratio": None},
-        "hosts_renewed_slowest": {
-            "value": slowest_s,
-            "unit": "s",
-            "against": worst,
-            "ratio": slowest_s / RENEWED_WANTED_S,
-        },
-        "hosts_listener": {"value": listener_s, "unit": "s from its new start", "against": None, "ratio": None},
-    }
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """What can be asked."""
+
+    lossy_s: float = 15.0
+    renewals: int = 5
 
 
-UNITS = {"agreed": "s from the start", "healed": "s after a cut", "heard": "messages/s under loss"}
+@in_one_line()
+def run(seed: int, case: str, settings: Settings) -> list[Row]:
+    """Raises ConfigError where namespaces or nft are missing, Failed where one is heard who should not be."""
+    needs_hosts()
+    if case == "stranger":
+        if shutil.which("nft") is None:
+            raise ConfigError("nft is not installed: apt-get install nftables")
+        return [{"quiet_s": dialled_s(False, False), "open_s": dialled_s(True, False), "shut_s": dialled_s(True, True)}]
+    with swarm_of("r1", "r2", "r3", secured=case == "tls") as swarm:
+        swarm.watch()
+        rows = [over_links(swarm, settings)]
+        return rows + [{"renewed_s": renewed_s(swarm)} for _ in range(settings.renewals if case == "tls" else 0)]
 
 
 @contextlib.contextmanager
-def swarm_of(secured: bool) -> Iterator[Swarm]:
-    with Relay([*ROBOTS, WATCHER], set(ROBOTS)) as relay, tempfile.TemporaryDirectory() as folder:
-        swarm = Swarm(relay, ROBOTS, Path(folder), secured=secured)
+def swarm_of(*robots: str, secured: bool) -> Iterator[Swarm]:
+    """These robots are started, on links that can be spoiled."""
+    with Relay([*robots, WATCHER, STRANGER], set(robots)) as relay, tempfile.TemporaryDirectory() as folder:
+        swarm = Swarm(relay, dict.fromkeys(robots, 0.0), Path(folder), secured=secured)
         try:
+            swarm.start(*robots)
             yield swarm
         finally:
             swarm.stop()
 
 
-def over_links(swarm: Swarm) -> dict[str, float]:
-    """From the start until all agree, then messages heard under loss, then cuts until all agree again."""
-    swarm.watch()
-    swarm.start(*ROBOTS)
+def over_links(swarm: Swarm, settings: Settings) -> Row:
+    """From the start until all agree, then messages heard under loss."""
     agreed_s = swarm.until("agreement", swarm.agree)
     swarm.relay.links = Links(loss=LOSS)
     before, began_s = sum(swarm.heard().values()), time.monotonic()
-    time.sleep(LOSSY_S)
+    time.sleep(settings.lossy_s)
     heard = (sum(swarm.heard().values()) - before) / (time.monotonic() - began_s)
-    healed_s = []
-    for _ in range(CUTS):
-        swarm.relay.links = Links()
-        swarm.until("agreement", swarm.agree)
-        swarm.relay.links = Links(sides=ALONE)
-        time.sleep(LONG_CUT_S)
-        swarm.relay.links = Links()
-        healed_s.append(swarm.until("agreement", swarm.agree))
-    return {"agreed": agreed_s, "healed": statistics.median(healed_s), "heard": heard}
-
-
-def renewal_of_a_dialler(swarm: Swarm) -> float:
-    """r3, which dials both others, finds them again with a certificate that has run out; seconds from a new one."""
-    replace_certificate(swarm.fleet, swarm.keys, "r3", datetime.now(UTC) + PAST)
-    swarm.relay.links = Links(sides=ALONE)
-    time.sleep(CUT_S)
     swarm.relay.links = Links()
-    turned_down(swarm, "r3")
-    replace_certificate(swarm.fleet, swarm.keys, "r3", datetime.now(UTC) + LATER)
-    took_s = swarm.until("r3 is heard", hears(swarm, "r3", "r1", "r2"))
+    swarm.until("agreement", swarm.agree)
+    return {"agreed_s": agreed_s, "heard_per_s": heard}
+
+
+# --- renewal ---
+
+ENDED_S = 4.0  # twice a link's lease: it has ended, and has to be dialled again
+REFUSED_S = 4.0  # for so long nobody is linked who should not be
+
+
+def renewed_s(swarm: Swarm) -> float:
+    """r3, which dials both others, finds them again with a certificate that has run out; seconds from a new one."""
+
+    def heard() -> dict[str, int]:
+        return {listener: count for (listener, speaker), count in swarm.heard().items() if speaker == "r3"}
+
+    def give(days: int) -> None:
+        replace_certificate(swarm.fleet, swarm.keys, "r3", datetime.now(UTC) + timedelta(days=days))
+
+    give(-1)
+    swarm.relay.links = Links(sides=(frozenset({"r1", "r2"}), frozenset({"r3"})))
+    time.sleep(ENDED_S)
+    swarm.relay.links = Links()
+    before = heard()
+    time.sleep(REFUSED_S)
+    assert heard() == before, f"r3 is heard with a certificate that has run out: {before}, then {heard()}"
+    give(1)
+    took_s = swarm.until("r3 is heard", lambda: all(heard()[name] > count for name, count in before.items()))
     swarm.until("agreement", swarm.agree)
     return took_s
 
 
-def renewal_of_a_listener(swarm: Swarm) -> float:
-    """r1, which both others dial, has listened with one that has run out; seconds from its start with a new one."""
-    replace_certificate(swarm.fleet, swarm.keys, "r1", datetime.now(UTC) + PAST)
-    again(swarm, "r1")
-    turned_down(swarm, "r1")
-    replace_certificate(swarm.fleet, swarm.keys, "r1", datetime.now(UTC) + LATER)
-    turned_down(swarm, "r1")  # it has read its files when it began to listen
-    return again(swarm, "r1", hears(swarm, "r1", "r2", "r3"))
+# --- a stranger ---
+
+FIREWALL = ROOT / "hw" / "ground_computer" / "aucamp.nft"
+STRANGER = "eve"
+SETTLE_S = 5.0
+JUNK_S = 5.0
+JUNK = """
+import socket, sys, time
+held = []
+for k in range(250):
+    held.append(socket.socket())
+    held[-1].setblocking(False)
+    held[-1].connect_ex((sys.argv[1], int(sys.argv[2])))
+    try:
+        held[-min(len(held), 10)].send(b"junk" * 16)
+    except OSError:
+        pass
+    time.sleep(0.02)
+time.sleep(60.0)
+"""
 
 
-def again(swarm: Swarm, name: str, then: Any = None) -> float:
-    """Kill it, and start it again; seconds until `then`."""
-    swarm.processes[name].kill()
-    swarm.processes[name].wait()
-    time.sleep(CUT_S)
-    swarm.start(name)
-    return swarm.until("its return", then) if then is not None else 0.0
+def dialled_s(junk: bool, firewall: bool) -> float:
+    """From the start of an observer, after JUNK_S of junk, until it is shown a first state."""
+    strangers: dict[str, subprocess.Popen[bytes]] = {}
+    with swarm_of("r1", secured=True) as swarm, killed_after(strangers):
+        if firewall:
+            own = swarm.folder / "aucamp.nft"
+            own.write_text(re.sub(r"FLEET_NETWORK = .*", f"FLEET_NETWORK = {SUBNET}.0/24", FIREWALL.read_text()))
+            subprocess.run(swarm.relay.command("r1", "nft", "-f", str(own)), check=True, timeout=60)
+        time.sleep(SETTLE_S)
+        if junk:
+            words = (sys.executable, "-c", JUNK, swarm.relay.address["r1"], str(PORT))
+            strangers[STRANGER] = subprocess.Popen(swarm.relay.command(STRANGER, *words))
+            time.sleep(JUNK_S)
+        swarm.watch()
+        return swarm.until("a state", lambda: "r1" in swarm.state)
 
 
-def turned_down(swarm: Swarm, name: str) -> None:
-    """Nobody hears this robot, nor does it hear anybody."""
-    before = words(swarm, name)
-    time.sleep(REFUSED_S)
-    if (after := words(swarm, name)) != before:
-        raise AssertionError(f"{name} is heard with a certificate that has run out: {before} {after}")
+# --- the claim ---
 
 
-def hears(swarm: Swarm, name: str, *others: str) -> Any:
-    """Whether all of these have heard more of this one than now."""
-    before = swarm.heard()
-    return lambda: all(swarm.heard()[other, name] > before[other, name] for other in others)
+def summary(rows: Rows) -> dict[str, Value]:
+    found = median_figures(CLAIM.figures, rows)
+    if "tls" in rows:
+        found["renewed"] = within([row for row in rows["tls"] if "renewed_s" in row], "renewed_s", RENEWED_WITHIN_S)
+    return found
 
 
-def words(swarm: Swarm, name: str) -> dict[str, int]:
-    """How many messages of this robot each other one has heard."""
-    return {listener: count for (listener, speaker), count in swarm.heard().items() if speaker == name}
-
-
-if __name__ == "__main__":
-    print(json.dumps(run(), indent=2))
+CLAIM = Claim(
+    run=run,
+    summary=summary,
+    settings=Settings,
+    quick={"lossy_s": 3.0, "renewals": 1},
+    cases=("tcp", "tls", "stranger"),
+    by_default=("tcp", "tls"),
+    measured_on="processes",
+    figures=(
+        *(
+            Figure(f"{kind}.{key}", f"{what}{secured}", unit)
+            for kind, secured in (("tcp", ""), ("tls", ", with certificates"))
+            for key, what, unit in (
+                ("agreed_s", "from their start until three robots agree", "s"),
+                ("heard_per_s", "heard while 30 % of all packets are lost, of 60", "messages/s"),
+            )
+        ),
+        Figure("tls.renewed_s", "a certificate is renewed, and its robot heard again", "s"),
+        Figure("renewed", "renewals that take no more than 2 s", "%", least=95.0),
+        Figure("stranger.quiet_s", "an observer dials a robot: first state", "s"),
+        Figure("stranger.open_s", "the same while a stranger opens 50 connections a second", "s"),
+        Figure("stranger.shut_s", "the same with our firewall", "s"),
+    ),
+    seeds=12,  # with five renewals each, as many as the 95 % take
+    alone=True,
+    explanation="""Each robot is a real agent on a host of its own, a network namespace, with a relay between them that
+        loses packets and cuts links; cameras and motors are a script. A robot that dials, and whose certificate has run
+        out, is turned down after a cut, and heard again without a restart once its files are new. The stranger sends
+        junk on what it opens, and the firewall is that of hw/ground_computer. Medians of runs.""",
+)

@@ -1,115 +1,106 @@
-"""How soon robots answer: a stop for all of three, over links with and without keys, and one robot that hangs.
-
-The agents are processes with real sessions, the real loop and the real recording; camera and motors are a script. Run
-apart: python -m tests.bench orders
-"""
+"""How soon robots answer: a stop for all of three, over links with and without keys, and one robot that hangs."""
 
 from __future__ import annotations
 
 import signal
 import statistics
-import subprocess
-import sys
 import tempfile
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
-from msgspec.structs import replace
+import msgspec
 
-from agent.core.config import Access, Fleet, dump
-from agent.demo.demo import demo_fleet
+from agent.experiments.claim import Claim, Figure, Row, Rows, Value
 from agent.ground.console import OrderConsole
-from agent.ground.new_fleet import make_all
 from agent.process.certificates import credentials
 from agent.process.launch import free_ports
-from tests.killing import killed_after
-from tests.places import ROOT
+from tests.bench.network.processes import agents, in_one_line, made, within
+from tests.bench.timing import median_figures
+from tests.waiting import until
 
-STOPS = 60
 WELL_S = 120.0
-WANTED_MS, NAMED_WANTED_S = 150.0, 1.1
+NOT_IN_STEP_S = 0.037  # between stops: the robots' loops have 50 ms
+MOST_MS, MOST_NAMED_S = 150.0, 1.1
 
 
-def run() -> dict[str, dict[str, Any]]:
-    rows: dict[str, dict[str, Any]] = {}
-    for kind in ("tcp", "tls"):
-        with three(kind) as (console, processes):
-            took_ms = [1e3 * outcome.took_s for _ in range(STOPS) for outcome in stops(console)]
-            rows[f"stop all of three, {kind}: median"] = {"value": statistics.median(took_ms), "unit": "ms"}
-            worst = max(took_ms)
-            rows[f"stop all of three, {kind}: slowest of {len(took_ms)}"] = {
-                "value": worst,
-                "unit": "ms",
-                "against": f"{WANTED_MS:g} ms",
-                "ratio": worst / WANTED_MS,
-            }
-            clock_ms = [1e3 * o.took_s for _ in range(STOPS) for o in console.order(["r1"], "clock").values()]
-            rows[f"what time it is, {kind}: median"] = {"value": statistics.median(clock_ms), "unit": "ms"}
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """What can be asked."""
+
+    stops: int = 60  # for all three robots each
+
+
+@in_one_line()
+def run(seed: int, case: str, settings: Settings) -> list[Row]:
+    """Raises Failed where a robot does not do as it is told."""
+    with tempfile.TemporaryDirectory() as folder:
+        one = made(Path(folder), case, free_ports(3))
+        keys = credentials(one.fleet, "ann", one.path)
+        with agents(one) as processes, OrderConsole(one.fleet, "ann", keys) as console:
+            until(lambda: len(console.states()) == 3, WELL_S, lambda: f"hears {list(console.states())} alone")
+            answers_ms = [ms for _ in range(settings.stops) for ms in stopped_ms(console)]
+            clock_ms = [1e3 * o.took_s for _ in range(settings.stops) for o in console.order(["r1"], "clock").values()]
             processes["r2"].send_signal(signal.SIGSTOP)
             outcomes = console.order(["r1", "r2", "r3"], "stop")
             processes["r2"].send_signal(signal.SIGCONT)
-            hung = outcomes.pop("r2")
-            assert hung.answer is None and all(outcome.ok for outcome in outcomes.values())
-            others = max(1e3 * outcome.took_s for outcome in outcomes.values())
-            rows[f"one hangs, {kind}: it is named"] = {
-                "value": hung.took_s,
-                "unit": "s",
-                "against": f"{NAMED_WANTED_S:g} s",
-                "ratio": hung.took_s / NAMED_WANTED_S,
-            }
-            rows[f"one hangs, {kind}: the slower of the others"] = {"value": others, "unit": "ms"}
-    return rows
+    hung = outcomes.pop("r2")
+    assert hung.answer is None and all(outcome.ok for outcome in outcomes.values()), outcomes
+    return [
+        {
+            "answer_ms": statistics.median(answers_ms),
+            "slowest_ms": max(answers_ms),
+            "clock_ms": statistics.median(clock_ms),
+            "named_s": hung.took_s,
+            "others_ms": max(1e3 * outcome.took_s for outcome in outcomes.values()),
+        }
+    ]
 
 
-def stops(console: OrderConsole) -> Iterator[Any]:
+def stopped_ms(console: OrderConsole) -> list[float]:
     outcomes = console.order(["r1", "r2", "r3"], "stop")
     assert all(outcome.ok for outcome in outcomes.values()), outcomes
-    time.sleep(0.037)  # not in step with the loops
-    yield from outcomes.values()
+    time.sleep(NOT_IN_STEP_S)
+    return [1e3 * outcome.took_s for outcome in outcomes.values()]
 
 
-@contextmanager
-def agents_of_three(kind: str) -> Iterator[tuple[Fleet, Path, dict[str, subprocess.Popen[Any]]]]:
-    """Processes of scripted agents, and the fleet file that they have read; all that is among them in the end ends."""
-    with tempfile.TemporaryDirectory() as folder:
-        fleet, path = of_three(kind, Path(folder)), Path(folder) / "fleet.toml"
-        path.write_text(dump(fleet), encoding="utf-8")
-        processes: dict[str, subprocess.Popen[Any]] = {}
-        with killed_after(processes):
-            for name in fleet.robot:
-                agent = [sys.executable, "-m", "tests.network.scripted_agent", str(path), name, folder]
-                processes[name] = subprocess.Popen(agent, cwd=ROOT)
-            yield fleet, path, processes
+def summary(rows: Rows) -> dict[str, Value]:
+    found = median_figures(MEDIANS, rows)
+    for case, runs in rows.items():
+        found[f"{case}_in_time"] = within(runs, "slowest_ms", MOST_MS)
+        found[f"{case}_named"] = within(runs, "named_s", MOST_NAMED_S)
+    return found
 
 
-@contextmanager
-def three(kind: str) -> Iterator[tuple[OrderConsole, dict[str, subprocess.Popen[bytes]]]]:
-    """Three robots that a console hears."""
-    with (
-        agents_of_three(kind) as (fleet, path, processes),
-        OrderConsole(fleet, "ann", credentials(fleet, "ann", path)) as console,
-    ):
-        ends_s = time.monotonic() + WELL_S
-        while len(console.states()) < len(fleet.robot):
-            assert time.monotonic() < ends_s, console.states().keys()
-            time.sleep(0.1)
-        yield console, processes
-
-
-def of_three(kind: str, folder: Path) -> Fleet:
-    """By the system's clock, on this computer."""
-    fleet = demo_fleet(3, "evidence", 0.0, 0, False, folder)
-    robots = {
-        name: replace(
-            robot, listen=f"{kind}/127.0.0.1:{port}", serial=f"/dev/null{port}", camera=f"v4l2:/dev/null{port}"
-        )
-        for (name, robot), port in zip(fleet.robot.items(), free_ports(3), strict=True)
-    }
-    fleet = replace(fleet, robot=robots)
-    if kind == "tls":
-        fleet = replace(fleet, access=Access(keys=str(folder / "keys"), consoles=("ann",)))
-        make_all(fleet, folder / "keys")
-    return fleet
+KINDS = {"tcp": "", "tls": ", with certificates and access rules"}
+MEDIANS = tuple(
+    Figure(f"{kind}.{key}", f"{words}, median{secured}", unit)
+    for kind, secured in KINDS.items()
+    for key, words, unit in (
+        ("answer_ms", "order to answer", "ms"),
+        ("slowest_ms", "the slowest answer of a run", "ms"),
+        ("clock_ms", "what time it is, which waits for no step", "ms"),
+        ("named_s", "one of three hangs: it is named after", "s"),
+        ("others_ms", "the slower of the other two, then", "ms"),
+    )
+)
+JUDGED = tuple(
+    Figure(f"{kind}_{key}", f"{words}{secured}", "%", least=95.0)
+    for kind, secured in KINDS.items()
+    for key, words in (
+        ("in_time", "runs whose slowest answer comes within 150 ms"),
+        ("named", "runs that name who hangs within 1.1 s"),
+    )
+)
+CLAIM = Claim(
+    run=run,
+    summary=summary,
+    settings=Settings,
+    quick={"stops": 5},
+    cases=tuple(KINDS),
+    measured_on="processes",
+    figures=(*JUDGED, *MEDIANS),
+    seeds=60,  # as many as the 95 % take
+    alone=True,
+    explanation="""A console stops all of three robots sixty times in each run; then one robot's process is halted, and
+        the console has to name it. The robots are real agents with real sessions, loops and recordings, whose cameras
+        and motors are a script. A step of a robot comes every 50 ms, and a stop waits for it.""",
+)

@@ -1,77 +1,72 @@
-"""The operator's page before five robots that say where they are ten times a second and show five pictures each.
-
-What its server takes of a core (/proc, user and system time of that process alone), how soon the first robot is there
-after the page was opened, what it asks of others, and what a page that was frozen for five seconds is shown. Needs
-Chromium.
-"""
+"""The operator's page before five robots that say where they are ten times a second and show five pictures each."""
 
 from __future__ import annotations
 
 import contextlib
-import os
-import shutil
+import importlib.util
 import tempfile
 import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from agent.core.config import Fleet, Pose, Robot, Target
+import msgspec
+
+from agent.core.config import ConfigError
+from agent.experiments.claim import Claim, Figure, Row, Rows, Value
+from agent.process.launch import free_ports
 from agent.robot.fleet_reader import load_fleet
-from tests.network.conftest import unused_port
-from tests.network.looking.page_process import Tab, fleet_on_disk, page_process
+from tests.bench.network.processes import in_one_line, made, used_s
+from tests.bench.timing import median_figures
+from tests.network.looking.page_process import CHROMIUM, FREEZE, TAKES, Tab, fleet_on_disk, page_process
 from tests.network.looking.scripted_robots import JPEG, scripted
-from tests.network.looking.test_page_in_a_browser import FREEZE, TAKES
 from tests.waiting import until
 
-ROBOTS, MEASURED_S, FROZEN_S = 5, 20.0, 5.0
-MOST_SHARE, MOST_FIRST_S = 0.03, 2.0
-TICKS = os.sysconf("SC_CLK_TCK")
+ROBOTS = 5
+AFTER_S = 5.0  # for so long after the freeze messages are looked at
+OLD_MS = 1000.0
 
 
-def run() -> dict[str, dict[str, Any]]:
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """What can be asked."""
+
+    measured_s: float = 20.0
+
+
+@in_one_line()
+def run(seed: int, case: str, settings: Settings) -> list[Row]:
+    """Raises ConfigError without a browser."""
+    for module, extra in (("playwright", "test"), ("websockets", "page")):
+        if importlib.util.find_spec(module) is None:
+            raise ConfigError(f"{module} is not installed: pip install 'aucamp[{extra}]'")
+    if CHROMIUM is None:
+        raise ConfigError("Chromium is not installed: apt-get install chromium")
     from playwright.sync_api import sync_playwright
 
-    chromium = shutil.which("chromium")
-    assert chromium, "this bench needs Chromium"
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as tools:
-        path = fleet_on_disk(five(), Path(folder), JPEG)
-        with scripted(load_fleet(path)), page_process(path) as page, opened(tools, chromium, page.address) as found:
-            tab, first_s = found
-            before, start_s = cpu_s(page.process.pid), time.monotonic()
-            time.sleep(MEASURED_S)
-            share = (cpu_s(page.process.pid) - before) / (time.monotonic() - start_s)
-            behind, pictures_ms = frozen(tab)
-            assert not tab.complaints
-    return {
-        "page_server_share": row(1e2 * share, "% of a core", "the most it may take", share / MOST_SHARE),
-        "page_first_robot": row(first_s, "s", "the most it may take", first_s / MOST_FIRST_S),
-        "page_asks_others": row(len(tab.outside), "requests", "none", None),
-        "page_behind_after_freeze": row(behind, "old messages of a key", "the most there may be", behind / 1),
-        "page_picture_after_freeze": row(pictures_ms, "ms old, median", "the freeze", pictures_ms / FROZEN_S / 1e3),
-    }
-
-
-def five() -> Fleet:
-    names = [f"r{n}" for n in range(1, ROBOTS + 1)]
-    robots = {
-        name: Robot(
-            neighbours=tuple(n for n in names if n != name),
-            listen=f"tcp/127.0.0.1:{unused_port()}",
-            serial=f"twin:{name}",
-            camera=f"twin:{name}",
-            pose=Pose(x_m=0.2 + 0.25 * n, y_m=0.3, yaw_deg=90.0),
-            calibration=f"{name}.toml",
-        )
-        for n, name in enumerate(names)
-    }
-    return Fleet(fleet="test", target={"ball": Target(radius_m=0.07)}, robot=robots)
+        one = made(Path(folder), "tcp", free_ports(ROBOTS), name="test")
+        path = fleet_on_disk(one.fleet, Path(folder), JPEG)
+        with scripted(load_fleet(path)), page_process(path) as page, opened(tools, page.address) as (tab, first_s):
+            before_s, start_s = used_s(page.process.pid), time.monotonic()
+            time.sleep(settings.measured_s)
+            share = (used_s(page.process.pid) - before_s) / (time.monotonic() - start_s)
+            behind, picture_ms = frozen(tab)
+            assert not tab.complaints, tab.complaints
+    return [
+        {
+            "server_percent": 1e2 * share,
+            "first_s": first_s,
+            "outside": len(tab.outside),
+            "behind": behind,
+            "picture_ms": picture_ms,
+        }
+    ]
 
 
 @contextlib.contextmanager
-def opened(tools: Any, chromium: str, address: str) -> Iterator[tuple[Tab, float]]:
+def opened(tools: Any, address: str) -> Iterator[tuple[Tab, float]]:
     """The page in a browser that is running, and how long the first robot took; then all are awaited."""
-    browser = tools.chromium.launch(executable_path=chromium, args=["--no-sandbox"])
+    browser = tools.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
     try:
         browser.new_page().close()
         time.sleep(2.0)  # the server's links to the robots are there
@@ -91,20 +86,35 @@ def frozen(tab: Tab) -> tuple[int, float]:
     tab.page.evaluate(TAKES)
     tab.page.evaluate(FREEZE)
     tab.page.evaluate("taken.length = 0")
-    time.sleep(5.0)
+    time.sleep(AFTER_S)
     taken = tab.page.evaluate("taken")
     keys = {key for key, _ in taken}
-    assert len([key for key in keys if key.startswith("image/")]) == ROBOTS
-    behind = max(sum(age_ms > 1000 for name, age_ms in taken if name == key) for key in keys)
-    ages = sorted(age_ms for name, age_ms in taken if name.startswith("image/") and age_ms <= 1000)
+    assert len([key for key in keys if key.startswith("image/")]) == ROBOTS, keys
+    behind = max(sum(age_ms > OLD_MS for name, age_ms in taken if name == key) for key in keys)
+    ages = sorted(age_ms for name, age_ms in taken if name.startswith("image/") and age_ms <= OLD_MS)
     return behind, ages[len(ages) // 2]
 
 
-def cpu_s(pid: int) -> float:
-    """Processor time of a process so far, all of its threads."""
-    fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / TICKS
+def summary(rows: Rows) -> dict[str, Value]:
+    return median_figures(CLAIM.figures, rows)
 
 
-def row(value: float, unit: str, against: str, ratio: float | None) -> dict[str, Any]:
-    return {"value": value, "unit": unit, "against": against, "ratio": ratio}
+CLAIM = Claim(
+    run=run,
+    summary=summary,
+    settings=Settings,
+    quick={"measured_s": 3.0},
+    measured_on="processes",
+    figures=(
+        Figure("all.server_percent", "the page's server, of a core", "%", most=3.0),
+        Figure("all.first_s", "from opening the page to the first robot", "s", most=2.0),
+        Figure("all.outside", "what the page asks of others", "requests", most=0.0),
+        Figure("all.behind", "old messages of a kind after it was frozen for 5 s", "messages", most=1.0),
+        Figure("all.picture_ms", "how old its pictures are from then on", "ms"),
+    ),
+    seeds=10,
+    alone=True,
+    explanation="""A page shows five robots in Chromium, each with ten states and five pictures of 25 kB a second. Of
+        its server, the processor time of that process alone counts. Then the page is frozen for five seconds, and
+        what it takes afterwards is looked at. Medians of runs.""",
+)

@@ -1,8 +1,7 @@
 """A process of bench_access: one of ten robots, all neighbours.
 
-It prints "ready", waits for a line, opens its links, speaks to all others 20 times a second, prints "all" once it has
-heard them all, or after a minute whom it has not heard, and ends with its standard input.
-python -m tests.bench.network.one_of_ten FLEET NAME
+It opens its links, speaks to all others 20 times a second, prints "all" once it has heard them all, or after a minute
+whom it has not heard, and ends with its standard input. python -m tests.bench.network.one_of_ten FLEET NAME
 """
 
 import sys
@@ -23,10 +22,7 @@ MUTE_S = 60.0
 def main(path: Path, name: str) -> None:
     fleet, heard, over = load_fleet(path), set(), threading.Event()
     others = fleet.robot[name].neighbours
-    config = peer_config(fleet, name, credentials(fleet, name, path))
-    print("ready", flush=True)
-    sys.stdin.readline()
-    with Session(config, name) as door:
+    with Session(peer_config(fleet, name, credentials(fleet, name, path)), name) as door:
         mine = topics.key(topics.LINK, fleet=fleet.fleet, src="*", dst=name)
         door.subscribe(mine, lambda sample: heard.add(sample.key.split("/")[-2]))
         keys = [topics.key(topics.LINK, fleet=fleet.fleet, src=name, dst=other) for other in others]

@@ -1,104 +1,90 @@
-"""Whether lost is said on real pictures: three clips of fish, and clips made of them and of real buoys.
+"""Whether lost is said on real pictures: clips of fish, and clips made of them and of real buoys.
 
-Reads ../shared/data; where that is absent there are no rows. Limits were chosen on the part "tuned"; "held out" has
-other fish and other cameras, and was looked at while FOUND_LIKE and SURE_COLOUR of follow.py, MAX_STEP of
-distractors.py and
-the limits of distractors.py and distractors.py were settled, and frame by frame while distractors.py was written.
-"anew" and
-"kept_back" were made afterwards (later_clips.py says what was chosen on the first of them).
-
-`python -m tests.bench.pictures.bench_track_loss gamma_0.7 half_rate --only filter` runs the same clips as another
-camera would have given them (disturbed.py names all of them; as_is is none), and prints the table.
+Limits of the trackers were chosen in view of the clips called seen; those kept back have other fish and other cameras,
+and nothing was chosen on them. `--set camera=NAME` changes all clips as another camera would have given them
+(disturbed.py has the names).
 """
 
-import argparse
-from collections.abc import Iterable, Sequence
+from __future__ import annotations
 
-import cv2
-import numpy as np
-from rich.console import Console
+from itertools import chain, islice
+from pathlib import Path
 
+import msgspec
+
+from agent.core.config import ConfigError
+from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value
 from agent.perception.tracking.appearance import overlap
 from agent.perception.tracking.follow import FOLLOWED, Followed, Follower, load_box_tracker, model_files
-from agent.tools.track import Score, score
-from tests.bench.__main__ import WIDE, table
+from agent.tools.track import score
+from tests.bench.timing import one_thread
 from tests.perception.tracking.disturbed import DISTURBANCES
 from tests.perception.tracking.later_clips import anew, kept_back
-from tests.perception.tracking.loss_clips import WATER, Clip, held_out, tuned
-from tests.places import DATA
+from tests.perception.tracking.loss_clips import Clip, held_out, tuned
+from tests.places import DATA, shared
 
-MODELS = DATA / "models" / "nanotrack_v2"
+TRACKERS = {"filter": "filter", "nano": "NanoTrack"}
+CLIPS = {"seen": lambda data: chain(tuned(data), held_out(data), anew(data)), "kept-back": kept_back}
 ELSEWHERE_IOU = 0.1  # below it a box is on something else
-PARTS = {"tuned": tuned, "held_out": held_out, "anew": anew, "kept_back": kept_back}
-TRACKERS = {"filter": None, "nano": model_files(MODELS)}
+AGAIN_IOU = 0.3  # from it on a box is on the thing that came back
+AS_IS = "as_is"
 
 
-def run(disturbance: str = "as_is", only: Sequence[str] = tuple(TRACKERS)) -> dict[str, dict]:
-    if not (DATA / WATER).is_dir():
-        return {}
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        found: dict[str, dict] = {}
-        for part, clips in PARTS.items():
-            name = part if disturbance == "as_is" else f"{part}_{disturbance}"
-            found |= rows(name, map(DISTURBANCES.get(disturbance, lambda clip: clip), clips(DATA)), only)
-        return found
-    finally:
-        cv2.setNumThreads(threads)
+class Settings(msgspec.Struct, frozen=True, kw_only=True):
+    """What can be asked."""
+
+    camera: str = AS_IS
+    clips: int | None = None  # the first ones alone
 
 
-def rows(part: str, clips: Iterable[Clip], only: Sequence[str]) -> dict[str, dict]:
-    """What `only` these of the trackers say, a few rows each."""
-    trackers = {name: TRACKERS[name] for name in only if name == "filter" or MODELS.is_dir()}
-    found: dict[str, list[Score]] = {name: [] for name in trackers}
-    waits: dict[str, list[float]] = {name: [] for name in trackers}
-    elsewhere = dict.fromkeys(trackers, 0)
-    for clip in clips:
-        for name, files in trackers.items():
-            said = follow(clip, files)
-            found[name].append(score(clip.truth, said, clip.rate_hz))
-            waits[name] += returns(clip, said)
-            elsewhere[name] += misled(clip, said)
-    shown = {}
-    for name, scores in found.items():
-        absent = sum(one.absent for one in scores)
-        present = sum(one.frames for one in scores) - absent
-        said, wrong = sum(one.absent_said_lost for one in scores), sum(one.present_said_lost for one in scores)
-        on = sum(one.on_target for one in scores)
-        shown[f"loss_{part}_{name}_absent_said_lost"] = row(said, "frames", "frames without it", said / absent)
-        shown[f"loss_{part}_{name}_present_said_lost"] = row(wrong, "frames", "frames with it", wrong / present)
-        other = elsewhere[name]
-        shown[f"loss_{part}_{name}_on_another"] = row(other, "frames", "frames with it", other / present)
-        shown[f"loss_{part}_{name}_on_target"] = row(on, "frames", "frames with it", on / present)
-        again = [wait for wait in waits[name] if np.isfinite(wait)]
-        share = len(again) / len(waits[name])
-        for kind, of in (("median", 50), ("p95", 95)):
-            frames = float(np.percentile(again, of)) if again else float("nan")
-            shown[f"loss_{part}_{name}_found_again_{kind}"] = row(frames, "frames", "times it came back", share)
-    return shown
+def run(seed: int, case: str, settings: Settings) -> list[Row]:
+    """A row for each clip. Raises ConfigError where the clips are absent."""
+    tracker, part = case.split("-", 1)
+    cameras = {AS_IS: lambda clip: clip, **DISTURBANCES}
+    if settings.camera not in cameras:
+        raise ConfigError(f"experiment track-loss: --set camera={settings.camera}: choose from {', '.join(cameras)}")
+    shared("real_water", "clips")
+    files = model_files(shared("models", "nanotrack_v2")) if tracker == "nano" else None
+    with one_thread():
+        clips = map(cameras[settings.camera], islice(CLIPS[part](DATA), settings.clips))
+        return [row_of(clip, follow(clip, files)) for clip in clips]
 
 
-def follow(clip: Clip, files: tuple | None) -> list[Followed]:
+def follow(clip: Clip, files: tuple[Path, ...] | None) -> list[Followed]:
     follower, drawn = Follower(load_box_tracker(files)), clip.truth[0].box
     assert drawn is not None
     follower.start(clip.images[0], drawn)
     return [Followed(drawn, 1.0, "followed"), *(follower.look(image) for image in clip.images[1:])]
 
 
-def returns(clip: Clip, said: list[Followed]) -> list[float]:
-    """For each time it came back: frames until it was followed where it is; infinite where it never was."""
-    waits, gone, since = list[float](), False, None
-    for k, (_, box, counted) in enumerate(clip.truth):
+def row_of(clip: Clip, said: list[Followed]) -> Row:
+    """Numbers of frames; and how often it came back, and was then found again."""
+    scored, again = score(clip.truth, said, clip.rate_hz), returns(clip, said)
+    return {
+        "absent": scored.absent,
+        "absent_lost": scored.absent_said_lost,
+        "present": scored.frames - scored.absent,
+        "present_lost": scored.present_said_lost,
+        "on_target": scored.on_target,
+        "on_another": misled(clip, said),
+        "returns": len(again),
+        "again": sum(again),
+    }
+
+
+def returns(clip: Clip, said: list[Followed]) -> list[bool]:
+    """For each time it came back: whether it was followed where it is before it went again."""
+    found, gone, waits = list[bool](), False, False
+    for (_, box, counted), now in zip(clip.truth, said, strict=True):
         if box is None:
-            waits += [np.inf] if since is not None else []
-            gone, since = True, None
+            found += [False] if waits else []
+            gone, waits = True, False
         elif gone and counted:
-            gone, since = False, k
-        if box is not None and since is not None and said[k].state in FOLLOWED and overlap(said[k].box, box) > 0.3:
-            waits.append(k - since)
-            since = None
-    return waits + ([np.inf] if since is not None else [])
+            gone, waits = False, True
+        if box is not None and waits and now.state in FOLLOWED and overlap(now.box, box) > AGAIN_IOU:
+            found.append(True)
+            waits = False
+    return found + ([False] if waits else [])
 
 
 def misled(clip: Clip, said: list[Followed]) -> int:
@@ -109,14 +95,42 @@ def misled(clip: Clip, said: list[Followed]) -> int:
     )
 
 
-def row(value: float, unit: str, against: str, ratio: float) -> dict:
-    return {"value": value, "unit": unit, "against": against, "ratio": ratio}
+def summary(rows: Rows) -> dict[str, Value]:
+    """Shares of frames are those of these clips: frames of one clip are too alike to tell of others."""
+    figures: dict[str, Value] = {}
+    for case, clips in rows.items():
+        total = {key: sum(clip[key] for clip in clips) for key in clips[0]}
+        for key, of in OF.items():
+            if total[of]:
+                figures[f"{case}_{key}"] = 100.0 * total[key] / total[of]
+        if total["returns"]:
+            figures[f"{case}_again"] = Share(total["again"], total["returns"])
+    return figures
 
 
-if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("disturbances", nargs="+", choices=["as_is", *DISTURBANCES])
-    parser.add_argument("--only", choices=list(TRACKERS), action="append", help="tracker; again for another")
-    asked = parser.parse_args()
-    for disturbance in asked.disturbances:
-        Console(width=WIDE).print(table(run(disturbance, asked.only or tuple(TRACKERS))))
+OF = {"absent_lost": "absent", "present_lost": "present", "on_another": "present", "on_target": "present"}
+
+CLAIM = Claim(
+    run=run,
+    summary=summary,
+    settings=Settings,
+    quick={"clips": 2},
+    cases=tuple(f"{tracker}-{part}" for tracker in TRACKERS for part in CLIPS),
+    measured_on="real pictures",
+    figures=tuple(
+        Figure(f"{tracker}-{part}_{key}", f"{words}, clips {part.replace('-', ' ')}: {what}", "%")
+        for tracker, words in TRACKERS.items()
+        for part in CLIPS
+        for key, what in (
+            ("absent_lost", "away, and called lost or ambiguous"),
+            ("present_lost", "there, and called lost or ambiguous"),
+            ("on_another", "there, and another thing is said to be it"),
+            ("on_target", "there, and followed with half the overlap or more"),
+            ("again", "came back, and is found again"),
+        )
+    ),
+    exact=True,
+    explanation="""A box is drawn round a fish or a buoy in the first picture of a clip, and followed; the thing leaves
+        the picture, or is hidden, and comes back. Frames are counted against where it is, from half a second after it
+        went. The clips called seen are those that limits of the trackers were chosen on; the others are kept back.""",
+)

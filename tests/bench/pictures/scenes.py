@@ -9,12 +9,12 @@ it begins at the opposite one: a margin is drawn that no picture shows, wider th
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import cv2
 import numpy as np
 
-from tests.places import DATA
+from tests.places import shared
 
 SIZE, FRAMES = 400, 30
 MARGIN = 24  # pixels beyond each border
@@ -22,9 +22,7 @@ DRAWN = SIZE + 2 * MARGIN
 BLUR_PX = 0.8  # diameter of the blur that a step of the sweep adds: a small camera's in water
 NOISE = (0.7, 1.5)  # grey levels, in turn
 GAPS = (2.5, 5.0, 10.0, 18.0)  # steps between the two depths: about 1, 2, 4 and 8 half widths of a peak
-PHOTOGRAPHS = DATA / "underwater_pairs" / "reference"
 
-Aperture = Literal["disc", "views"]
 Array = np.ndarray
 
 
@@ -33,14 +31,14 @@ class Stack(NamedTuple):
     truth: Array  # (SIZE, SIZE) lens position
 
 
-def stacks(farther: str, nearer: str, seed: int, aperture: Aperture = "disc") -> Iterator[Stack]:
+def stacks(farther: str, nearer: str, seed: int) -> Iterator[Stack]:
     """One for each gap, each with another outline, wherever the seed puts it."""
     for number, gap in enumerate(GAPS):
         outline = OUTLINES[(seed + number) % len(OUTLINES)]
-        yield render(farther, nearer, outline, gap, 100 * seed + number, aperture, NOISE[number % 2])
+        yield render(farther, nearer, outline, gap, 100 * seed + number, NOISE[number % 2])
 
 
-def render(farther: str, nearer: str, outline: str, gap: float, seed: int, aperture: Aperture, noise: float) -> Stack:
+def render(farther: str, nearer: str, outline: str, gap: float, seed: int, noise: float) -> Stack:
     rng = np.random.default_rng(seed)
     level, contrast = rng.uniform(90, 150, 2), rng.uniform(18, 35, 2)
     back, front = (m + c * texture(kind, rng) for m, c, kind in zip(level, contrast, (farther, nearer), strict=True))
@@ -50,7 +48,7 @@ def render(farther: str, nearer: str, outline: str, gap: float, seed: int, apert
     spectra = [np.fft.rfft2(plane) for plane in (front * cover, cover, back)]
     images = []
     for position in range(FRAMES):
-        b_near, b_far = (blur(aperture, BLUR_PX * abs(position - depth)) for depth in (near, far))
+        b_near, b_far = (blur(BLUR_PX * abs(position - depth)) for depth in (near, far))
         light, share, behind = (np.fft.irfft2(b * s) for b, s in zip((b_near, b_near, b_far), spectra, strict=True))
         seen = (light + (1 - share) * behind)[shown] + rng.normal(0, noise, (SIZE, SIZE))
         images.append(np.clip(np.rint(seen), 0, 255).astype(np.uint8))
@@ -85,7 +83,7 @@ def leaves(rng: np.random.Generator) -> Array:
 
 def photograph(rng: np.random.Generator) -> Array:
     """A piece of one of the shared photographs, at random; few are large enough for the margin, so that is mirrored."""
-    paths = sorted(PHOTOGRAPHS.iterdir())
+    paths = sorted(shared("underwater_pairs", "reference").iterdir())
     while True:
         grey = cv2.imread(str(paths[rng.integers(len(paths))]), cv2.IMREAD_GRAYSCALE)
         if grey is not None and min(grey.shape) > SIZE:
@@ -114,12 +112,8 @@ def inside(outline: str, rng: np.random.Generator) -> Array:
             return period / 4 - np.abs((0.9 * x + 0.43 * y + offset) % period - period / 2)
 
 
-def blur(aperture: Aperture, diameter_px: float) -> Array:
-    """Transfer function (DRAWN, DRAWN / 2 + 1) of a disc, or of 9 x 9 views across a square, as a light field's."""
-    across, down = np.fft.rfftfreq(DRAWN)[None], np.fft.fftfreq(DRAWN)[:, None]
-    if aperture == "views":
-        shifts = np.arange(-4, 5) * diameter_px / 8
-        return np.multiply(*(np.cos(2 * np.pi * f[..., None] * shifts).mean(axis=-1) for f in (across, down)))
+def blur(diameter_px: float) -> Array:
+    """Transfer function (DRAWN, DRAWN / 2 + 1) of a disc."""
     if diameter_px < 0.6:
         return np.ones((DRAWN, DRAWN // 2 + 1))
     fine, reach = 8, int(np.ceil(diameter_px / 2)) + 1  # samples a pixel, pixels

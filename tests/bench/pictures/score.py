@@ -27,10 +27,7 @@ class Score(NamedTuple):
     across_whole: int = 0  # of them accepted as a whole, all of them wrong
     across_told: float = 0.0  # area that has a depth
     across_wrong: float = 0.0  # area that has a wrong one
-    across_parts: int = 0  # parts with a depth in blocks across an edge
-    across_parts_wrong: int = 0
     plain: int = 0  # blocks without an edge
-    plain_whole: int = 0
     plain_told: float = 0.0
     plain_wrong: float = 0.0
 
@@ -38,29 +35,17 @@ class Score(NamedTuple):
         return Score(*(a + b for a, b in zip(self, other, strict=True)))
 
 
-def score(found: DepthMap, truth: Array, edges: Array, known: Array, span: float) -> Score:
-    """truth (height, width) in lens positions, NaN: nothing is there that has a depth.
-
-    edges (height, width): where depth jumps. known: where the truth is known; blocks that are not all known do not
-    count. span: of the sweep, lens positions.
-    """
+def score(found: DepthMap, truth: Array, span: float) -> Score:
+    """truth (height, width) in lens positions; span: of the sweep, lens positions."""
     side, (rows, cols) = found.block_px, found.blocks.reason.shape
-    true = tiles(truth, side, rows, cols)
-    jump, whole = tiles(edges, side, rows, cols).any(axis=-1), tiles(known, side, rows, cols).all(axis=-1)
-    share = minor_share(true)
-    across, plain = whole & jump & (share >= MINOR), whole & ~jump & np.isfinite(true).all(axis=-1)
+    true, jump = tiles(truth, side, rows, cols), tiles(jumps(truth, 1.0), side, rows, cols).any(axis=-1)
+    across, plain = jump & (minor_share(true) >= MINOR), ~jump
     bad = wrong(found.blocks, true, across, span)
-    n = found.along
-    counted = np.kron(across, np.ones((n, n), bool))
-    used, part_bad = found.used_parts(), np.zeros((rows * n, cols * n), bool)
+    n, used = found.along, found.used_parts()
+    part_bad = np.zeros_like(used)
     if found.parts is not None:
-        cut = [np.rint(np.arange(k * n + 1) * side / n).astype(int) for k in (rows, cols)]
-        for row, col in np.argwhere(used):
-            at = tuple(slice(cut[k][i], cut[k][i + 1]) for k, i in enumerate((row, col)))
-            one = GridPeaks(*(np.array([[field[row, col]]]) for field in found.parts[:5]))
-            part_bad[row, col] = wrong(one, truth[at].reshape(1, 1, -1), counted[row : row + 1, col : col + 1], span)[
-                0, 0
-            ]
+        in_parts = tiles(truth, side // n, rows * n, cols * n)  # blocks are cut into whole pixels
+        part_bad = used & wrong(found.parts, in_parts, np.kron(across, np.ones((n, n), bool)), span)
     per_block = (used.reshape(rows, n, cols, n).mean(axis=(1, 3)), part_bad.reshape(rows, n, cols, n).mean(axis=(1, 3)))
     accepted = found.blocks.accepted
     told, wrongly = (np.where(accepted, w, p) for w, p in zip((1.0, bad), per_block, strict=True))
@@ -69,10 +54,7 @@ def score(found: DepthMap, truth: Array, edges: Array, known: Array, span: float
         across_whole=int((across & accepted).sum()),
         across_told=float(told[across].sum()),
         across_wrong=float(wrongly[across].sum()),
-        across_parts=int((used & counted).sum()),
-        across_parts_wrong=int((part_bad & counted).sum()),
         plain=int(plain.sum()),
-        plain_whole=int((plain & accepted).sum()),
         plain_told=float(told[plain].sum()),
         plain_wrong=float(wrongly[plain].sum()),
     )
@@ -86,13 +68,14 @@ def wrong(found: GridPeaks, true: Array, across: Array, span: float) -> Array:
 
 
 def minor_share(true: Array) -> Array:
-    """Share of the pixels (..., pixels) on the smaller side of the middle of their depths; nothing is a side, too."""
-    there = np.isfinite(true)
-    low, high = (f(np.where(there, true, v), axis=-1) for f, v in ((np.min, np.inf), (np.max, -np.inf)))
-    with np.errstate(invalid="ignore"):  # where nothing is known there is no middle
-        middle = (low + high)[..., None] / 2
-    upper = np.where(there.all(axis=-1), (true > middle).mean(axis=-1), there.mean(axis=-1))
+    """Share of the pixels (..., pixels) on the smaller side of the middle of their depths."""
+    upper = (true > (true.min(axis=-1) + true.max(axis=-1))[..., None] / 2).mean(axis=-1)
     return np.minimum(upper, 1 - upper)
+
+
+def jumps(depth: Array, least: float) -> Array:
+    """Where depth changes by more than `least` from pixel to pixel."""
+    return np.hypot(*np.gradient(depth)) > least / 2
 
 
 def tiles(pixels: Array, side: int, rows: int, cols: int) -> Array:

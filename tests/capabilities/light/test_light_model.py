@@ -8,8 +8,8 @@ import pytest
 from agent.capabilities.light import model
 from agent.capabilities.light.model import AT_180, all_orders, phase
 from agent.core.config import Beam, Lighting, WaterOptics
-from agent.experiments import veil_monte_carlo as particles
-from agent.experiments.veil_monte_carlo import Medium, beside, scattered
+from tests.studies.veil import particles
+from tests.studies.veil.particles import Medium, beside, scattered
 
 HARBOUR = WaterOptics(absorption_per_m=(0.55, 0.37, 0.45), scattering_per_m=(1.82, 1.82, 1.82))
 BAY = WaterOptics(absorption_per_m=(0.40, 0.25, 0.40), scattering_per_m=(0.80, 0.80, 0.80))

@@ -20,6 +20,21 @@ from tests.waiting import until
 
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
+# what a page is given to run
+TAKES = """() => {   // notes what comes, and how old it is when it is taken
+  window.taken = [];
+  const before = take;
+  take = data => {
+    const now_ms = Date.now();
+    if (data instanceof ArrayBuffer) {
+      const head = new DataView(data);
+      taken.push(["image/" + head.getUint8(0), now_ms - Number(head.getBigUint64(5, true)) / 1e6]);
+    } else for (const m of JSON.parse(data)) if (m.sent_ms) taken.push([m.k, now_ms - m.sent_ms]);
+    before(data);
+  };
+}"""
+FREEZE = "() => { const until = Date.now() + 5000; while (Date.now() < until) {} }"
+
 
 def fleet_on_disk(fleet: Fleet, folder: Path, picture: bytes) -> Path:
     """Its file, with a thing in a box as another target."""

@@ -7,26 +7,13 @@ import pytest
 from agent.core.config import Fleet, Pose, Robot, Target
 from agent.robot.fleet_reader import load_fleet
 from tests.network.conftest import unused_port
-from tests.network.looking.page_process import Tab, browser, fleet_on_disk, page_process
+from tests.network.looking.page_process import FREEZE, TAKES, Tab, browser, fleet_on_disk, page_process
 from tests.network.looking.scripted_robots import JPEG, scripted
 from tests.waiting import until
 
 pytest.importorskip("websockets", reason="the extra `page` is not installed")
 
 STATES = "[...robots.values()].map(r => newest(r)?.t ?? -1)"
-TAKES = """() => {   // notes what comes, and how old it is when it is taken
-  window.taken = [];
-  const before = take;
-  take = data => {
-    const now_ms = Date.now();
-    if (data instanceof ArrayBuffer) {
-      const head = new DataView(data);
-      taken.push(["image/" + head.getUint8(0), now_ms - Number(head.getBigUint64(5, true)) / 1e6]);
-    } else for (const m of JSON.parse(data)) if (m.sent_ms) taken.push([m.k, now_ms - m.sent_ms]);
-    before(data);
-  };
-}"""
-FREEZE = "() => { const until = Date.now() + 5000; while (Date.now() < until) {} }"
 
 
 @pytest.fixture(scope="module")

@@ -5,8 +5,7 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError, Tank
-from agent.experiments.dark_water import BALL_M, RADIUS_M, WATERS, DarkWater, axis_veil, stand
-from agent.experiments.veil_monte_carlo import Medium, beside, scattered
+from agent.experiments.dark_water import BALL_M, RADIUS_M, WATERS, DarkWater, stand
 from agent.perception.clarity import tenengrad_blocks
 from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
@@ -30,6 +29,8 @@ from hw.twin.optics.raycast import (
 from hw.twin.optics.shade import LOD_UP, draw_water, transmission_and_veil
 from hw.twin.optics.veil import scattering
 from hw.twin.scene import Scene, SceneWater, Solid, generator, load_scene
+from tests.studies.veil.claim import axis_veil
+from tests.studies.veil.particles import Medium, beside, scattered
 
 PLACES = ((0.9, 0.0, 0.12), (1.4, 0.0, 0.31), (1.25, 0.73, 0.3), (1.7, 1.3, 0.45))
 ROI = (240, 160, 160, 160)
