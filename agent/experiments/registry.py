@@ -53,7 +53,6 @@ CLAIMS: dict[str, Entry] = {
     "night": Entry(B + "light.bench_night", "robots find a ball by each other's light", LIGHT, ("agent/fleets",)),
     "lamp-cost": Entry(B + "light.bench_lamp_cost", "what one more lamp adds to a rendered frame", LIGHT),
     "leases": Entry(B + "light.bench_leases", "no sweep counts in which a lamp changed", LIGHT),
-    "keyframes": Entry(B + "light.bench_keyframes", "keyframes of a survey by lent light", LIGHT, ("agent/fleets",)),
     "calibration": Entry(E + "calibration", "range against focus position, on the bench", FOCUS),
     "depth": Entry(E + "depth", "depth of whole views from focus: our peak, the paper's", FOCUS),
     "consistency": Entry(E + "consistency", "whether measurements are as wrong as they say", FOCUS),

@@ -337,8 +337,8 @@ def _span(middle: float, length: float, limit: int) -> tuple[int, int]:
 # The matched fit of agent.core.ranging.focus, curve by curve. The kernel fits one curve a sweep and stays in numpy, so
 # that it replays to the bit. A depth map fits a hundred and more at once, and is to cost no more than four passes over
 # the bytes of its frames. From 30 frames of 640x480 to 108 depths it costs 4.5 with this fit and 6.2 with the kernel's,
-# 3.6 of them for clarity (medians of one run on a busy machine; `aucamp experiment frames` has all three). Both follow the same
-# steps; sums are added in another order, so results agree to rounding (a test holds them together to 1e-9).
+# 3.6 of them for clarity (medians of one run on a busy machine; `aucamp experiment frames` has all three). Both follow
+# the same steps; sums are added in another order, so results agree to rounding (a test holds them together to 1e-9).
 
 
 def block_peaks(lens_positions: Array, curves: Array, method: Method = "matched") -> Peaks:

@@ -227,7 +227,7 @@ class Board:
 # --- cycle times ---
 #
 # What a control cycle takes on the board, part by part: the twin's firmware gets no tick before the cycle is over.
-# cycle_times.toml is estimated from counted instructions, by `python -m tests.bench board --write`.
+# cycle_times.toml is estimated from counted instructions, by `python -m tests.studies.board --write`.
 
 TABLE = Path(__file__).with_name("cycle_times.toml")
 

@@ -189,7 +189,7 @@ def dazzles(scene: Scene, lamp_m: Vector) -> bool:
 STEPS = 40  # along a ray: a spot's veil to 1 %, which stands for that of many blocks
 VIEW_GLARE_RAD = math.radians(30.0)  # about the axis, as allocate's; a whole frame is wider
 # log J at which half of the blocks show a peak, and how steeply more of it shows more: by the keyframes of world 0, in
-# harbour and bay water (tests/bench/light/bench_keyframes.py). Concrete and stones have less texture than a ball.
+# harbour and bay water. Concrete and stones have less texture than a ball.
 HALF_AT, SLOPE = 12.0, 1.0
 LEAST_BLOCKS = 1e-3
 

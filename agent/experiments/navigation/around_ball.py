@@ -177,7 +177,7 @@ def aided(seed: int, gyro: bool = False, seconds: float = AID_S) -> Row:
                     continue
                 own_m[name].append(math.dist(own.pose[:2], truth[:2]))
                 aided_m[name].append(math.dist(best.pose[:2], truth[:2]))
-                if best != own:
+                if best.pose != own.pose:
                     nees.append(_planar_nees(best, np.array(truth)))
     return {
         "own_mm": [_rms_mm(found) for found in own_m.values()],

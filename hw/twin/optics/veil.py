@@ -34,7 +34,7 @@ RANGE_STEP_M, RANGES = 0.02, 200  # of the table of points
 SURFACE_STEP_M, SURFACES = 0.004, 1000  # of that of surfaces, which is so fine that a pixel takes the nearest range
 # Off the axis and of the light's way, even in the sine of half the angle; cosine of the spin.
 OFFS, WAYS, SPINS = 17, 13, 3
-FADE = 0.35  # as agent.experiments.veil_monte_carlo has it, which makes the table
+FADE = 0.35  # as tests.studies.veil.tables has it, which makes the table
 
 
 class Nodes(NamedTuple):

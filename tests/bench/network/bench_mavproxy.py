@@ -8,6 +8,7 @@ MAVProxy is 1.2 GB with all that it brings, so that it lives in an environment o
 
 from __future__ import annotations
 
+import importlib.util
 import re
 import shutil
 import subprocess
@@ -46,7 +47,9 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
 @in_one_line()
 def run(seed: int, case: str, settings: Settings) -> list[Row]:
-    """Raises ConfigError without MAVProxy."""
+    """Raises ConfigError without MAVProxy, or what our bridge needs."""
+    if importlib.util.find_spec("pymavlink") is None:
+        raise ConfigError("pymavlink is not installed: pip install 'aucamp[mavlink]'")
     program = shutil.which(settings.program)
     if program is None:
         raise ConfigError(f"{settings.program} is not installed: see the head of tests/bench/network/bench_mavproxy.py")

@@ -1,7 +1,7 @@
 """How well three cameras' bearings follow the twin's fish, and for how long it is known unseen.
 
 Cameras stand where they see it all the time, ten times a second, and err by 3 mrad white; poses are known. The fish
-turns by the twin's law, the track believes another one: that it keeps a course for a while, or for ever.
+turns by the twin's law, the track believes another one: that it keeps a course for `turn_s`.
 """
 
 from __future__ import annotations
@@ -24,6 +24,7 @@ TANK_M = (3.0, 2.0, 0.5)
 CAMERAS_M = np.array([[0.3, 0.3, 0.25], [2.7, 0.4, 0.2], [1.4, 1.8, 0.3]])
 SIGMA_RAD, STEP_TICKS, BEGUN = 0.003, 10, 10
 UNSEEN_NS = 1_000_000_000
+TURN_S = 2.0  # for which a fish of the twin keeps a course, about
 
 Array = NDArray[np.float64]
 
@@ -32,7 +33,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """What can be asked."""
 
     speed_m_s: float = 0.15  # of the fish, and as the track is told
-    turn_s: float = 2.0  # for which the track believes that it keeps a course
     seconds: int = 60
 
 
@@ -78,50 +78,47 @@ def judged(tracks: Sequence[Track], path_m: Array) -> tuple[float, float]:
 
 # --- the claim ---
 
+TURNS = {"half": 0.5, "right": 1.0, "double": 2.0, "straight": math.inf}  # believed, of TURN_S
+KEYS = {
+    "seen_mm": ("a fish that three cameras see: off, rms", "mm"),
+    "seen_nees": ("its error as it says: NEES", ""),
+    "unseen_mm": ("a second after it was seen last: off, rms", "mm"),
+    "unseen_nees": ("its error then as it says: NEES", ""),
+}
+
 
 def run(seed: int, case: str, settings: Settings) -> list[Row]:
     """While it is seen, and a second after it was seen last."""
-    dynamics = swimming(settings.speed_m_s, settings.turn_s)
-    if case == "straight":
-        dynamics = dynamics._replace(turn_s=math.inf)
+    dynamics = swimming(settings.speed_m_s, TURN_S)._replace(turn_s=TURNS[case] * TURN_S)
     path_m, later = way_m(seed, settings), UNSEEN_NS // (STEP_TICKS * 10_000_000)
     tracks = followed(path_m, dynamics, seed)
     unseen = [predict(track, track.t_ns + UNSEEN_NS, dynamics) for track in tracks[:-later]]
-    seen_mm, seen_nees = judged(tracks, path_m[BEGUN:])
-    unseen_mm, unseen_nees = judged(unseen, path_m[BEGUN + later :])
-    return [{"seen_mm": seen_mm, "seen_nees": seen_nees, "unseen_mm": unseen_mm, "unseen_nees": unseen_nees}]
+    return [dict(zip(KEYS, (*judged(tracks, path_m[BEGUN:]), *judged(unseen, path_m[BEGUN + later :])), strict=True))]
 
 
 def summary(rows: Rows) -> dict[str, Value]:
     found: dict[str, Value] = {}
     for case, of in rows.items():
-        for key in ("seen", "unseen"):
-            found[f"{case}_{key}_mm"] = rms([row[f"{key}_mm"] for row in of])
-            found[f"{case}_{key}_nees"] = math.fsum(row[f"{key}_nees"] for row in of) / len(of)
+        for key in KEYS:
+            values = [row[key] for row in of]
+            found[f"{case}_{key}"] = rms(values) if key.endswith("_mm") else math.fsum(values) / len(values)
     return found
-
-
-def _figures(case: str, words: str) -> tuple[Figure, ...]:
-    return (
-        Figure(f"{case}_seen_mm", f"{words}: a fish that three cameras see, rms", "mm"),
-        Figure(f"{case}_seen_nees", f"{words}: its error as it says, NEES"),
-        Figure(f"{case}_unseen_mm", f"{words}: a second after it was seen last, rms", "mm"),
-        Figure(f"{case}_unseen_nees", f"{words}: its error as it says, unseen, NEES"),
-    )
 
 
 CLAIM = Claim(
     run=run,
     summary=summary,
     settings=Settings,
-    cases=("turning", "straight"),
+    cases=tuple(TURNS),
     quick={"seconds": 10},
     measured_on="model",
-    figures=(
-        *_figures("turning", "a track that expects turns"),
-        *_figures("straight", "one whose velocity wanders without end"),
+    figures=tuple(
+        Figure(f"{case}_{key}", f"{'no turns' if case == 'straight' else f'turn_s x {times:g}'}: {words}", unit)
+        for case, times in TURNS.items()
+        for key, (words, unit) in KEYS.items()
     ),
     explanation="""A fish of the twin wanders at 0.15 m/s between three cameras that see it ten times a second, and know
-        where they are. The kernel's track is made of their bearings alone. NEES is the error squared in units of the
+        where they are. The kernel's track is made of their bearings alone, and believes that the fish keeps a course
+        for `turn_s`: as long as fits it, half or twice as long, or for ever. NEES is the error squared in units of the
         stated covariance, 3 where it is honest.""",
 )

@@ -48,7 +48,7 @@ def alone(seed: int, pose: Pose, behaviour: Behaviour) -> Fleet:
 
 def swum(seed: int, legs: int) -> tuple[body_calibration.Trial, dict[str, float]]:
     """A trial, and what is true of the robot for each newton that it asked for."""
-    fleet, events, given, asked = alone(seed, MIDDLE, Trial(x_m=MIDDLE.x_m, y_m=MIDDLE.y_m)), dict(), [], []
+    fleet, events, given, asked = alone(seed, MIDDLE, Trial(x_m=MIDDLE.x_m, y_m=MIDDLE.y_m)), {}, [], []
     with twin_bodies(fleet) as bodies:
         one = Swimmers(fleet, bodies)
         swimmer = swimmer_of(one.agents["r1"].capabilities)

@@ -21,6 +21,7 @@ from agent.process.command import Failed
 STILL = Pose(x_m=1.5, y_m=1.0, yaw_deg=90.0)
 FIND_S, SETTLE_S = 12.0, 20.0
 CASES = {"without": False, "gyro": True}
+KEYS = {"yaw_deg": "yaw", "own_deg": "its own estimate of yaw", "off_mm": "place"}
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
@@ -39,34 +40,21 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
         if not one.until_swims("r1", FIND_S):
             raise Failed("the robot does not swim")
         one.path("r1", SETTLE_S)
+        localizer = swimmer_of(one.agents["r1"].capabilities).localizer
         off_mm, yaw_deg, own_deg = list[float](), list[float](), list[float]()
         for _ in one.each_step(settings.held_s):
             x, y, psi = one.place("r1")
             off_mm.append(1e3 * math.dist((x, y), (STILL.x_m, STILL.y_m)))
             yaw_deg.append(math.degrees(wrap(psi - math.radians(STILL.yaw_deg))))
-            own_deg.append(
-                math.degrees(wrap(swimmer_of(one.agents["r1"].capabilities).localizer.at(one.now_ns).x[2] - psi))
-            )
+            own_deg.append(math.degrees(wrap(localizer.at(one.now_ns).x[2] - psi)))
     return [{"yaw_deg": rms(yaw_deg), "own_deg": rms(own_deg), "off_mm": rms(off_mm)}]
 
 
 def summary(rows: Rows) -> dict[str, Value]:
     """Of all seeds; `ratio`: yaw with a gyro, of that without."""
-    found = {
-        f"{case}_{key}": rms([row[key] for row in of])
-        for case, of in rows.items()
-        for key in ("yaw_deg", "own_deg", "off_mm")
-    }
+    found = {f"{case}_{key}": rms([row[key] for row in of]) for case, of in rows.items() for key in KEYS}
     with_one, without = found.get("gyro_yaw_deg"), found.get("without_yaw_deg")
     return found | ({"ratio": with_one / without} if with_one and without else {})
-
-
-def _figures(case: str, words: str) -> tuple[Figure, ...]:
-    return (
-        Figure(f"{case}_yaw_deg", f"{words}: yaw off, rms", "deg"),
-        Figure(f"{case}_own_deg", f"{words}: its own estimate of yaw off, rms", "deg"),
-        Figure(f"{case}_off_mm", f"{words}: place off, rms", "mm"),
-    )
 
 
 CLAIM = Claim(
@@ -77,8 +65,11 @@ CLAIM = Claim(
     quick={"held_s": 10.0},
     measured_on="twin",
     figures=(
-        *_figures("without", "without a gyro"),
-        *_figures("gyro", "with one"),
+        *(
+            Figure(f"{case}_{key}", f"{'with' if gyro else 'without'} a gyro: {words} off, rms", key.rpartition("_")[2])
+            for case, gyro in CASES.items()
+            for key, words in KEYS.items()
+        ),
         Figure("ratio", "yaw with a gyro, of that without", "x"),
     ),
     explanation="""A robot that swims holds its place for a minute and looks at a wall of tags ten times a second, while

@@ -1,5 +1,5 @@
-"""Vision on a dive's own clock, which waits for it: a clock, a thread's part in it, and a camera, to be put in place of the
-real ones."""
+"""Vision on a dive's own clock, which waits for it: a clock, a thread's part in it, and a camera, in place of the real
+ones."""
 
 from __future__ import annotations
 
