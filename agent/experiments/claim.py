@@ -179,7 +179,7 @@ def of_quantile(quantile: Quantile) -> Measured:
 
     tail = 0.5 * (1.0 - LEVEL)
     low, high = round(binom.ppf(tail, n, share)), round(binom.ppf(1.0 - tail, n, share)) + 1
-    value = ordered[max(math.ceil(share * n) - 1, 0)]
+    value = ordered[max(math.ceil(quantile.percent * n / 100.0) - 1, 0)]
     return Measured(value, ordered[low - 1] if low else -math.inf, ordered[high - 1] if high <= n else math.inf, n)
 
 
@@ -222,5 +222,5 @@ def percentile(values: Sequence[float | None], percent: float) -> float | None:
     ordered = sorted(math.inf if value is None else value for value in values)
     if not ordered:
         return None
-    found = ordered[max(math.ceil(1e-2 * percent * len(ordered)) - 1, 0)]
+    found = ordered[max(math.ceil(percent * len(ordered) / 100.0) - 1, 0)]
     return found if math.isfinite(found) else None

@@ -29,6 +29,7 @@ E, B, S = "agent.experiments.", "tests.bench.", "tests.studies."
 DEMO, SWIM, FISH, LIGHT = "Finding a target together", "Robots that swim", "Following what swims", "Light"
 WRONG, FOCUS, PICTURES, SCENE = "When something is wrong", "Distance from focus", "Pictures", "Surveys and scenes"
 BODY, NETWORK, COST = "Body and board", "Networks and people", "What it costs"
+SCRIPTS = ("tests/network/scripted_agent.py", "tests/network/watch_states.py")  # processes of claims of networks
 
 # What the study of the board reads and builds; what is recorded and checked.
 COUNTED = tuple(f"tests/studies/board/{name}" for name in ("count.c", "heap.txt", "prices.json", "pretended"))
@@ -72,13 +73,22 @@ CLAIMS: dict[str, Entry] = {
     "size": Entry(E + "reconstruction.size", "time and memory against the size of a survey", SCENE),
     "orientation": Entry(E + "orientation", "push and depth step under three control laws", BODY),
     "board": Entry(S + "board.claim", "what a control cycle takes on the board", BODY, ("hw/firmware", *COUNTED)),
-    "clock": Entry(B + "bench_clock", "nothing in a dive comes late, beside busy processes too", BODY),
-    "swarm": Entry(B + "bench_swarm", "twenty agents on one machine; a partition heals", NETWORK),
-    "orders": Entry(B + "network.bench_orders", "a person stops three robots, of which one hangs", NETWORK),
+    "swarm": Entry(B + "bench_swarm", "twenty agents on one machine; a partition heals", NETWORK, SCRIPTS),
+    "orders": Entry(B + "network.bench_orders", "a person stops three robots, of which one hangs", NETWORK, SCRIPTS),
     "page": Entry(B + "network.bench_page", "a page in a browser of five robots", NETWORK),
-    "hosts": Entry(B + "network.bench_hosts", "certificates that run out, a stranger: robots as hosts", NETWORK),
-    "access": Entry(B + "network.bench_access", "what certificates and access rules cost a link", NETWORK),
-    "mavproxy": Entry(B + "network.bench_mavproxy", "a ground station that others wrote", NETWORK),
+    "hosts": Entry(
+        B + "network.bench_hosts",
+        "certificates that run out, a stranger: robots as hosts",
+        NETWORK,
+        (*SCRIPTS, "hw/ground_computer/aucamp.nft"),
+    ),
+    "access": Entry(
+        B + "network.bench_access",
+        "what certificates and access rules cost a link",
+        NETWORK,
+        ("tests/bench/network/one_of_ten.py",),
+    ),
+    "mavproxy": Entry(B + "network.bench_mavproxy", "a ground station that others wrote", NETWORK, SCRIPTS),
     "frames": Entry(B + "bench_frames", "what perception takes of a frame", COST),
     "messages": Entry(B + "bench_messages", "what agreement and signatures take", COST),
     "recording": Entry(B + "bench_recording", "what recording a dive takes, and checking it again", COST, RECORDED),

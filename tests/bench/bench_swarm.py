@@ -10,12 +10,10 @@ import tempfile
 import time
 from pathlib import Path
 
-import msgspec
-
 from agent.core.codec import decode
 from agent.core.messages import State
 from agent.core.topics import STATE
-from agent.experiments.claim import Claim, Figure, Row, Rows, Value
+from agent.experiments.claim import Claim, Figure, NoSettings, Row, Rows, Value
 from agent.process.launch import free_ports
 from agent.process.transport import Observer
 from tests.bench.network.processes import agents, in_one_line, made, needs_hosts, resident_mb
@@ -32,16 +30,10 @@ SETTLED_S = 10.0  # over which messages are counted
 PARTITION_S = 20.0
 
 
-class Settings(msgspec.Struct, frozen=True, kw_only=True):
-    """What can be asked."""
-
-    healings: int = 3  # of a swarm
-
-
 @in_one_line()
-def run(seed: int, case: str, settings: Settings) -> list[Row]:
+def run(seed: int, case: str, settings: NoSettings) -> list[Row]:
     """Raises ConfigError for healing where namespaces are not permitted, Failed where robots never agree."""
-    return [twenty() if case == "twenty" else {"healed_s": statistics.median(healed_s(settings.healings))}]
+    return [twenty() if case == "twenty" else {"healed_s": healed_s()}]
 
 
 def twenty() -> Row:
@@ -78,26 +70,22 @@ def heard(states: dict[str, State]) -> int:
     return sum(n.heard for state in states.values() for n in state.neighbours)
 
 
-def healed_s(times: int) -> list[float]:
-    """Seconds from the end of a partition until all five agree again."""
+def healed_s() -> float:
+    """From the end of a partition until all five agree again."""
     needs_hosts()
     names = [f"r{k}" for k in range(1, 6)]
-    sides = (frozenset(names[:2]), frozenset(names[2:]))
-    took_s = []
     with Relay([*names, WATCHER], set(names)) as relay, tempfile.TemporaryDirectory() as folder:
         swarm = Swarm(relay, dict.fromkeys(names, 0.0), Path(folder))
         try:
             swarm.start(*names)
             swarm.watch()
-            for _ in range(times):
-                swarm.until("agreement", swarm.agree)
-                relay.links = Links(sides=sides)
-                time.sleep(PARTITION_S)
-                relay.links = Links()
-                took_s.append(swarm.until("one swarm", swarm.agree))
+            swarm.until("agreement", swarm.agree)
+            relay.links = Links(sides=(frozenset(names[:2]), frozenset(names[2:])))
+            time.sleep(PARTITION_S)
+            relay.links = Links()
+            return swarm.until("one swarm", swarm.agree)
         finally:
             swarm.stop()
-    return took_s
 
 
 def summary(rows: Rows) -> dict[str, Value]:
@@ -107,8 +95,6 @@ def summary(rows: Rows) -> dict[str, Value]:
 CLAIM = Claim(
     run=run,
     summary=summary,
-    settings=Settings,
-    quick={"healings": 1},
     cases=("twenty", "healing"),
     measured_on="processes",
     figures=(

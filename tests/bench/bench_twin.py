@@ -79,7 +79,7 @@ def dived(seconds: float) -> tuple[float, float]:
     """Processor seconds of this process, and of the firmware's."""
     fleet = basin.fleet({"r1": basin.robot("r1", Pose(x_m=1.0, y_m=1.0, yaw_deg=0.0))}, 0)
     began_s, boards_s = time.process_time(), ended_s()
-    # MicroPython's Unix port takes less; it is not there on every machine.
+    # MicroPython's Unix port is not there on every machine.
     with patch.object(basin, "interpreter", lambda: sys.executable), basin.twin_bodies(fleet) as bodies:
         one = Swimmers(fleet, bodies)
         if not one.until_swims("r1", FIND_S):

@@ -54,6 +54,7 @@ def test_the_interval_of_a_quantile_holds_it_as_often_as_it_says() -> None:
     assert of_quantile(Quantile([1.0] * 58, 95.0)).high == INF, "of 58 nobody can say what 95 % keep"
     assert of_quantile(Quantile([1.0] * 59, 95.0)).high == 1.0
     assert of_quantile(Quantile([1.0, None, 2.0], 50.0)).value == 2.0
+    assert of_quantile(Quantile([float(k) for k in range(1, 61)], 95.0)).value == 57.0
 
 
 def test_the_bootstrap_draws_whole_seeds() -> None:

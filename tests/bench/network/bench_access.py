@@ -11,7 +11,6 @@ from contextlib import ExitStack, contextmanager
 from functools import partial
 from pathlib import Path
 
-import msgspec
 import zenoh
 
 from agent.core import topics
@@ -21,19 +20,13 @@ from replay.recorder import Arrivals, receiving
 from router_config.session import Session
 from router_config.settings import peer_config
 from tests.bench.network.processes import Made, in_one_line, made, python, within
-from tests.bench.timing import median_figures, medians_ms
+from tests.bench.timing import Settings, median_figures, medians_ms
 from tests.waiting import until
 
 KINDS = ("tcp", "tls")
 PINGS, SIZE = 300, 600  # SIZE: bytes, of an estimate
 WITHIN_S = 2.0  # a recorder hears every row
 TEN = 10
-
-
-class Settings(msgspec.Struct, frozen=True, kw_only=True):
-    """What can be asked."""
-
-    times: int = 9  # of each measurement but the start of ten robots
 
 
 @in_one_line()

@@ -38,7 +38,6 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
         with agents(one) as processes, OrderConsole(one.fleet, "ann", keys) as console:
             until(lambda: len(console.states()) == 3, WELL_S, lambda: f"hears {list(console.states())} alone")
             answers_ms = [ms for _ in range(settings.stops) for ms in stopped_ms(console)]
-            clock_ms = [1e3 * o.took_s for _ in range(settings.stops) for o in console.order(["r1"], "clock").values()]
             processes["r2"].send_signal(signal.SIGSTOP)
             outcomes = console.order(["r1", "r2", "r3"], "stop")
             processes["r2"].send_signal(signal.SIGCONT)
@@ -48,7 +47,6 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
         {
             "answer_ms": statistics.median(answers_ms),
             "slowest_ms": max(answers_ms),
-            "clock_ms": statistics.median(clock_ms),
             "named_s": hung.took_s,
             "others_ms": max(1e3 * outcome.took_s for outcome in outcomes.values()),
         }
@@ -77,7 +75,6 @@ MEDIANS = tuple(
     for key, words, unit in (
         ("answer_ms", "order to answer", "ms"),
         ("slowest_ms", "the slowest answer of a run", "ms"),
-        ("clock_ms", "what time it is, which waits for no step", "ms"),
         ("named_s", "one of three hangs: it is named after", "s"),
         ("others_ms", "the slower of the other two, then", "ms"),
     )

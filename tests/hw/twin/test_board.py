@@ -17,10 +17,10 @@ from hw.twin.board import NO_TIME, RESET_CAUSE, Board, Boot, CycleTimes, read_ta
 from hw.twin.dive import run_in_lock_step
 from hw.twin.physics.tank import STEP_S
 from hw.twin.scene import SlowBoard
-from tests.studies.board import imposed
 from tests.hw.firmware.diving_robot import diving_robot
 from tests.hw.twin.stand_ins import answer, catch_up, gone, pid, tell
 from tests.places import ROOT
+from tests.studies.board import imposed
 
 
 def test_every_byte_value_passes_the_port_both_ways(plunge):

@@ -8,14 +8,14 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-from tests.studies.board import estimate, imposed, proxy, sources
+from tests.studies.board import estimate, imposed, sources
 from tests.studies.board.boots import Options
 from tests.studies.board.report import report
 from tests.studies.board.tools import FIRMWARE, BoardError, MissingTool
 
 
 def main(words: Sequence[str]) -> int:
-    """Print the table; where tools are missing, say which, and what the Unix port itself takes."""
+    """Print the table; where tools are missing, say which."""
     parser = argparse.ArgumentParser(prog="python -m tests.studies.board", description=__doc__)
     parser.add_argument("--firmware", type=Path, default=FIRMWARE, metavar="DIR", help="folder with main.py")
     parser.add_argument("--law", default="observer", choices=("observer", "pid", "pi"))
@@ -31,10 +31,7 @@ def main(words: Sequence[str]) -> int:
     options = Options(given.firmware.resolve(), given.law, given.optimise, given.gc_every, tuple(given.native))
     try:
         measured = estimate.measure(options)
-    except MissingTool as missing:
-        sys.stderr.write(f"{missing}\n")
-        return proxy.report(options)
-    except (BoardError, ImportError, SyntaxError, OSError) as error:
+    except (MissingTool, BoardError, ImportError, SyntaxError, OSError) as error:
         sys.stderr.write(f"{error}\n")
         return 1
     result = estimate.figures(measured, options)

@@ -7,7 +7,7 @@ from agent.experiments.claim import NoSettings, measure
 from agent.experiments.claim import verdict as verdict_of
 from agent.process.command import Failed
 from tests.studies.board import __main__ as command
-from tests.studies.board import boots, claim, estimate, imposed, proxy, sources, tools
+from tests.studies.board import boots, claim, estimate, imposed, sources, tools
 from tests.studies.board.counts import Count, Log, mean_of
 from tests.studies.board.report import verdict
 from tests.studies.board.timetable import Cycle, hearing_ms, timetable
@@ -67,8 +67,7 @@ def test_no_part_of_a_cycle_takes_less_than_nothing():
 
 
 def test_what_is_missing_is_one_line_with_a_remedy(monkeypatch, capsys):
-    for module in (tools, proxy):
-        monkeypatch.setattr(module, "which", lambda name: None)
+    monkeypatch.setattr(tools, "which", lambda name: None)
     assert command.main([]) == 1
     said = capsys.readouterr().err
     assert "apt-get install -y qemu-user gcc libc6-dev" in said
