@@ -115,8 +115,7 @@ def asked(name: str, claim: Claim, settings: Sequence[str], before: Any) -> msgs
 def run(plan: Plan, claim: Claim, out: Path | None, jobs: int | None, scheduler: str | None, quick: bool) -> int:
     """Run it, write the results and print the table; the exit code."""
     from agent.experiments.claim import measure
-    from agent.experiments.pages import table
-    from agent.experiments.results import result_of, run_of, write_result
+    from agent.experiments.results import result_of, run_of, table, write_result
     from agent.experiments.run_claim import run_plan
 
     console, folder = terminal(), out or folder_of(plan)
@@ -185,8 +184,7 @@ def show_list() -> None:
 
 def write_docs(runs: Sequence[Path]) -> None:
     """Keep the results of these runs, and write all pages."""
-    from agent.experiments.pages import PAGES, write_pages
-    from agent.experiments.results import keep
+    from agent.experiments.results import PAGES, keep, write_pages
 
     if not PAGES.parent.is_dir():
         raise ConfigError("experiment docs: there is no folder docs here; run it in a checkout of the repository")

@@ -17,7 +17,7 @@ from agent.capabilities.light.allocate import Lamp, Scene
 from agent.core.config import Lighting, Tank, WaterOptics
 from agent.core.messages import Vector
 from agent.core.ranging.focus import Peak, fit_peak
-from agent.experiments.peak_shift import mm_per_position
+from agent.experiments.still_camera import mm_per_position
 from agent.perception.clarity import around, disc_clarity
 from hw.camera.camera import Frame, Roi
 from hw.twin.optics.lens import draw_lens

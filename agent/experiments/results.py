@@ -1,24 +1,30 @@
-"""What a run of a claim found: on the disk as the run's folder has it, and kept in the repository for its pages.
+"""What a run of a claim found: in the run's folder, kept in the repository, and told to people.
 
 `result.json` in the run's folder has the figures, `run.json` beside it when and where they were measured. A figure that
-is kept lies in docs/research/results/CLAIM.json with both: its own seeds, date, commit, processor and command.
+is kept lies in docs/research/results/CLAIM.json with both: its own seeds, date, commit, processor and command. Pages
+are written from there alone, so no figure on them was typed.
 """
 
 from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import msgspec
+from rich.table import Table
 
 from agent.core.config import ConfigError
 from agent.experiments.claim import Claim, Figure, Measured, verdict
+from agent.experiments.registry import CLAIMS, HEADLINES, code_of, load
 from agent.experiments.run_claim import Plan, write_whole
 from replay.files.mcap_file import environment
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure as Drawing
 
 RESULT, RUN = "result.json", "run.json"
 KEPT = Path("docs/research/results")
@@ -175,3 +181,220 @@ def _number(value: float) -> Number:
 
 def _text(struct: msgspec.Struct) -> str:
     return json.dumps(msgspec.to_builtins(struct), indent=1) + "\n"
+
+
+# --- pages and tables ---
+
+PAGES = Path("docs/research")
+ALL = "claims.md"
+OLDER = "older than the code"  # beside a figure whose code has changed since it was measured
+HEAD = """# Claims
+
+`aucamp experiment docs` writes this page from the results in [results](results). Nothing here has been in the sea.
+A figure comes with its 90 % interval and with n: seeds, or trials of a share. A target is **met** when the whole
+interval keeps it, **missed** when none of it does, else **not shown**. What a figure was measured on:
+
+* **twin**: our own simulation; it is optimistic where [it leaves something out](../twin.md);
+* **model**: the estimators alone, on numbers drawn as their equations say;
+* **real pictures**: photographs that nobody here took;
+* **chip model**: instructions counted on an emulated STM32F407, never timed on one;
+* **processes**: real agents on a real network stack of one computer, with cameras and motors that are a script;
+* **outside judge**: a program that others wrote;
+* **this machine**: times, as ratios of two ways in one run.
+
+*Older than the code*: modules that the claim measures have changed since.
+"""
+
+
+# --- words of a figure ---
+
+
+def digits(value: float) -> str:
+    """Three significant digits, without an exponent."""
+    if math.isinf(value):
+        return "never" if value > 0 else "none"
+    if value == 0.0:
+        return "0"
+    places = max(0, 2 - math.floor(math.log10(abs(value))))
+    return f"{value:.{places}f}" if places <= 6 else f"{value:.2g}"
+
+
+def value_of(told: Told) -> str:
+    return f"{digits(float(told.value))} {told.unit}".rstrip()
+
+
+def interval_of(told: Told) -> str:
+    low, high = float(told.low), float(told.high)
+    if low == high:
+        return "exact" if math.isfinite(low) else ""
+    ends = [digits(end) if math.isfinite(end) else "?" for end in (low, high)]
+    return " to ".join(ends) if any(end != "?" for end in ends) else ""
+
+
+def table(figures: Sequence[Told], title: str) -> Table:
+    """As the terminal shows them."""
+    shown = Table(title=title)
+    for head in ("what", "measured", "90 % interval", "n", "target", ""):
+        shown.add_column(head, justify="left" if head in ("what", "") else "right")
+    for told in figures:
+        shown.add_row(
+            told.words, value_of(told), interval_of(told), str(told.n), told.figure.target, told.verdict
+        )  # fmt: skip
+    return shown
+
+
+# --- pages ---
+
+
+README, BEGIN, END = "README.md", "<!-- figures: aucamp experiment docs -->\n", "<!-- end of figures -->\n"
+
+
+def write_pages(root: Path = Path()) -> list[Path]:
+    """All pages, each claim's figure, the README's figures, and the results by today's words and limits. Returns what
+    was written."""
+    written = []
+    if (readme := root / README).exists():
+        readme.write_text(with_headlines(readme.read_text(encoding="utf-8"), root), encoding="utf-8")
+    (root / PAGES).mkdir(parents=True, exist_ok=True)
+    for name, text in all_pages(root).items():
+        (root / PAGES / name).write_text(text, encoding="utf-8")
+        written.append(root / PAGES / name)
+    for name, (claim, figures) in kept_claims(root).items():
+        write_kept(name, figures, root / KEPT)
+        path = root / PAGES / f"{name}.svg"
+        write_drawing(drawing(figures, claim), path)
+        written.append(path)
+    return written
+
+
+def all_pages(root: Path = Path()) -> dict[str, str]:
+    """The text of every page by its name."""
+    kept = kept_claims(root)
+    return {ALL: claims_page(kept)} | {f"{name}.md": claim_page(name, *one) for name, one in kept.items()}
+
+
+def kept_claims(root: Path) -> dict[str, tuple[Claim, list[KeptFigure]]]:
+    """Each claim of the table, with what was kept of it."""
+    found = {}
+    for name, entry in CLAIMS.items():
+        claim = load(entry.module)
+        found[name] = claim, judged_anew(claim, read_kept(name, root / KEPT))
+    return found
+
+
+def with_headlines(text: str, root: Path = Path()) -> str:
+    """The README with its figures. Raises ValueError where it has no place for them."""
+    before, rest = text.split(BEGIN)
+    _, after = rest.split(END)
+    told = {(name, one.told.key): one.told for name, (_, figures) in kept_claims(root).items() for one in figures}
+    rows = [
+        f"| [{told[key].words}](docs/research/{key[0]}.md) | {told[key].paper} | {value_of(told[key])} | "
+        f"{interval_of(told[key])} | {mark(told[key])} |"
+        for key in HEADLINES
+        if key in told
+    ]
+    head = ["| | paper | Aucamp | 90 % interval | target |", "|---|---|---|---|---|"]
+    return before + BEGIN + "\n" + "\n".join([*head, *rows]) + "\n\n" + END + after
+
+
+def claims_page(kept: Mapping[str, tuple[Claim, list[KeptFigure]]]) -> str:
+    """One row for each figure, below the heading of its group."""
+    lines = [HEAD]
+    for group in dict.fromkeys(entry.group for entry in CLAIMS.values()):
+        lines += [f"## {group}", "", "| claim | paper | measured | 90 % interval | n | target | | on | |",
+                  "|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
+        for name, (claim, figures) in kept.items():
+            if CLAIMS[name].group == group:
+                lines += claim_rows(name, claim, figures)
+        lines.append("")
+    return "\n".join(lines)
+
+
+def claim_rows(name: str, claim: Claim, figures: Sequence[KeptFigure]) -> Iterator[str]:
+    link = f"[{name}]({name}.md)"
+    if not figures:
+        yield f"| {link}: {CLAIMS[name].about} | | not measured | | | | | {claim.measured_on} | |"
+    code = code_of(name) if figures else ""
+    for one in figures:
+        yield f"| {link}: {row(one.told)} | {claim.measured_on} | {age(one, code)} |"
+
+
+def row(told: Told) -> str:
+    cells = told.words, told.paper, value_of(told), interval_of(told), str(told.n), told.figure.target, mark(told)
+    return " | ".join(cells)
+
+
+def mark(told: Told) -> str:
+    return f"**{told.verdict}**" if told.verdict in ("missed", "not shown") else told.verdict
+
+
+def age(one: KeptFigure, code: str) -> str:
+    return "" if one.run.code == code else OLDER
+
+
+def claim_page(name: str, claim: Claim, figures: Sequence[KeptFigure]) -> str:
+    """Explanation, table, drawing, and where each figure is from."""
+    entry = CLAIMS[name]
+    lines = [f"# {name}: {entry.about}", "", " ".join(claim.explanation.split()), ""]
+    lines += [f"Measured on: {claim.measured_on}. Run it: `aucamp experiment {name}`" + (
+        f", or one of its cases, `--only {claim.cases[0]}`." if len(claim.cases) > 1 else "."), ""]  # fmt: skip
+    if len(claim.cases) > 1:
+        lines += [f"Cases: {', '.join(claim.cases)}.", ""]
+    if not figures:
+        return "\n".join([*lines, "Not measured in this state of the project.", ""])
+    lines += ["| figure | paper | measured | 90 % interval | n | target | | |", "|---|---|---|---|---|---|---|---|"]
+    code = code_of(name)
+    lines += [f"| {row(one.told)} | {age(one, code)} |" for one in figures]
+    lines += ["", f"![{name}]({name}.svg)", "", "## Where the figures are from", ""]
+    lines += [*dict.fromkeys(origin(one) for one in figures), ""]
+    return "\n".join(lines)
+
+
+def origin(one: KeptFigure) -> str:
+    run, (first, last) = one.run, one.seeds
+    seeds = f"seed {first}" if first == last else f"seeds {first} to {last}"
+    return (
+        f"* {run.date}, commit {run.commit}, {run.processor}, {seeds}, {run.seconds_a_seed:g} s a seed: `{run.command}`"
+    )
+
+
+# --- the drawing: each figure a line of its own, with its interval and its target ---
+
+
+def drawing(figures: Sequence[KeptFigure], claim: Claim) -> Drawing:
+    """Dot: measured. Bar: 90 % interval. Green: where it has to lie."""
+    from matplotlib.figure import Figure as Drawing
+
+    height_in = 0.55 * max(len(figures), 1) + 0.3
+    drawn = Drawing(figsize=(7.5, height_in), layout="constrained")
+    panels = drawn.subplots(max(len(figures), 1), 1, squeeze=False)[:, 0]
+    for panel, one in zip(panels, figures, strict=False):
+        told = one.told
+        ends = [end for end in map(float, (told.low, told.value, told.high)) if math.isfinite(end)]
+        limits = [limit for limit in (told.least, told.most) if limit is not None]
+        if ends:
+            panel.plot([min(ends), max(ends)], [0, 0], color="C0", linewidth=3, solid_capstyle="butt")
+        if math.isfinite(float(told.value)):
+            panel.plot([float(told.value)], [0], "o", color="C0")
+        spread = [*ends, *limits] or [0.0]
+        pad = 0.15 * (max(spread) - min(spread)) or 0.1 * abs(spread[0]) or 1.0
+        low, high = min(spread) - pad, max(spread) + pad
+        if limits:
+            least = low if told.least is None else told.least
+            panel.axvspan(least, high if told.most is None else told.most, color="C2", alpha=0.2, linewidth=0)
+        panel.set(xlim=(low, high), yticks=[])
+        panel.tick_params(labelsize="x-small")
+        panel.set_ylabel(
+            f"{told.words}, {told.unit}".rstrip(", "), rotation=0, ha="right", va="center", fontsize="x-small"
+        )
+        for side in ("left", "right", "top"):
+            panel.spines[side].set_visible(False)
+    return drawn
+
+
+def write_drawing(drawn: Drawing, path: Path) -> None:
+    """Text stays text; neither a date nor drawn ids make two of them differ."""
+    import matplotlib
+
+    with matplotlib.rc_context({"svg.fonttype": "none", "svg.hashsalt": path.name}):
+        drawn.savefig(path, metadata={"Date": None})

@@ -24,8 +24,7 @@ import msgspec
 from agent.clock import machine
 from agent.core.config import ConfigError
 from agent.experiments.claim import Claim, Row
-from agent.experiments.code_state import code_hash
-from agent.experiments.registry import Entry, load
+from agent.experiments.registry import Entry, code_hash, load
 from agent.process.command import Failed, Progress
 
 PLAN, FINISHED, ROWS = "plan.json", "finished.jsonl", "rows.json"
@@ -38,7 +37,7 @@ class Plan(NamedTuple):
 
     name: str
     entry: Entry  # where the claim is
-    code: str  # hash of what is measured (code_state.py)
+    code: str  # hash of what is measured (registry.py)
     settings: msgspec.Struct
     cases: tuple[str, ...]
     seeds: range

@@ -21,7 +21,7 @@ from agent.perception.depth_sweep import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS
 from agent.process.command import Failed, shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import PATIENCE_S, FocusRange, Frame, Image, Roi, deliverable
-from hw.twin.optics.lens import Vcm, draw_lens
+from hw.twin.optics.lens import Lens, Vcm, draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.optics.raycast import Eye, Floats
 from hw.twin.scene import Scene, generator, load_scene
@@ -163,3 +163,10 @@ def breathing(camera: StillCamera) -> float:
 def facing_wall(u_m: float, tilt_deg: float = 0.0) -> TankView:
     """A view of the wall at the far end of the tank's x axis, `u_m` from it."""
     return TankView((1.5 - u_m, 0.6, 0.25), 0.0, tilt_deg)
+
+
+def mm_per_position(lens: Lens, lens_position: Array) -> Array:
+    """|d range / d rho|, mm per lens position: vergence 1/f - 1/v, range = index / vergence under water."""
+    v_m = lens.at_position_m(0.0) + lens.per_position_m * lens_position
+    vergence = 1.0 / lens.focal_m - 1.0 / v_m
+    return np.asarray(1e3 * WATER_INDEX / vergence**2 / v_m**2 * abs(lens.per_position_m), np.float64)

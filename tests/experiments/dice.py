@@ -8,8 +8,7 @@ import msgspec
 import numpy as np
 
 from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, Value, measure
-from agent.experiments.code_state import code_hash
-from agent.experiments.registry import Entry
+from agent.experiments.registry import Entry, code_hash
 from agent.experiments.results import result_of, run_of, write_result
 from agent.experiments.run_claim import Plan, run_plan
 from agent.process.command import Failed

@@ -19,8 +19,7 @@ from agent.experiments.claim import (
     percentile,
     verdict,
 )
-from agent.experiments.code_state import ROOT, path_of
-from agent.experiments.registry import CLAIMS, load
+from agent.experiments.registry import CLAIMS, ROOT, load, path_of
 from tests.experiments import dice
 
 INF = math.inf

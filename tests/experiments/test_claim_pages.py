@@ -9,10 +9,20 @@ from typer.testing import CliRunner
 
 from agent.cli import experiments
 from agent.core.config import ConfigError
-from agent.experiments import code_state, pages, registry
+from agent.experiments import registry, results
 from agent.experiments.claim import Figure, Measured
-from agent.experiments.pages import OLDER, PAGES, all_pages, digits, interval_of, with_headlines
-from agent.experiments.results import KEPT, keep, read_kept, tell
+from agent.experiments.results import (
+    KEPT,
+    OLDER,
+    PAGES,
+    all_pages,
+    digits,
+    interval_of,
+    keep,
+    read_kept,
+    tell,
+    with_headlines,
+)
 from agent.process.command import Failed
 from tests.experiments import dice
 from tests.places import ROOT
@@ -49,7 +59,7 @@ def checkout(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """A folder with docs, and a table that has the dice alone."""
     monkeypatch.chdir(tmp_path)
     (tmp_path / "docs").mkdir()
-    for module in (registry, pages, experiments):
+    for module in (registry, results, experiments):
         monkeypatch.setattr(module, "CLAIMS", {"dice": dice.ENTRY})
     return tmp_path
 
@@ -101,12 +111,12 @@ def test_a_result_is_kept_by_figure_and_says_when_the_code_has_changed(
     kept = {one.told.key: one for one in read_kept("dice")}
     assert kept["other"].run.command == "aucamp experiment dice --only another --seed 0 --seeds 4"
     assert kept["mean"].seeds == (0, 19) and kept["other"].seeds == (0, 3), "of that case alone"
-    written = pages.write_pages()
+    written = results.write_pages()
     assert {path.name for path in written} == {"claims.md", "dice.md", "dice.svg"}
     page = (checkout / PAGES / "dice.md").read_text()
     assert OLDER not in page and "A die is thrown." in page and "seeds 0 to 19" in page and "seeds 0 to 3" in page
-    monkeypatch.setattr(pages, "code_of", lambda name: "another")
-    assert pages.all_pages()["dice.md"].count(OLDER) == 4
+    monkeypatch.setattr(results, "code_of", lambda name: "another")
+    assert results.all_pages()["dice.md"].count(OLDER) == 4
     assert "| met |" in (checkout / PAGES / "claims.md").read_text()
 
 
@@ -156,11 +166,11 @@ def test_the_code_that_a_claim_measures_is_what_it_imports(tmp_path: Path, monke
         path = tmp_path / "agent" / f"{name}.py"
         path.parent.mkdir(parents=True, exist_ok=True)
         path.write_text(text)
-    monkeypatch.setattr(code_state, "ROOT", tmp_path)
+    monkeypatch.setattr(registry, "ROOT", tmp_path)
 
     def state() -> str:
-        code_state.read.cache_clear()
-        return code_state.code_hash("agent.claim")
+        registry.read.cache_clear()
+        return registry.code_hash("agent.claim")
 
     def changed(name: str, old: str, new: str) -> bool:
         path, before = tmp_path / "agent" / f"{name}.py", state()
@@ -171,7 +181,7 @@ def test_the_code_that_a_claim_measures_is_what_it_imports(tmp_path: Path, monke
     assert not changed("stranger", "Y = 1", "Y = 2") and not changed("experiments/registry", "Z = 1", "Z = 2")
     assert not changed("far", "Doc.", "Other words.") and not changed("far", "def f", "# Why.\ndef f")
     assert not changed("claim", "CLAIM = 3", "CLAIM = 4"), "words and limits measure nothing"
-    code_state.read.cache_clear()
+    registry.read.cache_clear()
 
 
 def test_the_list_names_every_claim(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,9 +6,9 @@ import pytest
 from agent.experiments import ball_measurements as measurements
 from agent.experiments.ball_measurements import rotation_of
 from agent.experiments.claim import Share
-from agent.experiments.consistency import CUES, summary
 from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
+from tests.bench.bench_consistency import CUES, summary
 
 BALL_M = (0.3, 0.3, 0.07)
 

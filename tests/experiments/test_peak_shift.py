@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from agent.experiments import peak_shift as claim
-from agent.experiments.peak_shift import Settings, mm_per_position, shifts
-from agent.experiments.still_camera import WATER_INDEX
+from agent.experiments.still_camera import WATER_INDEX, mm_per_position
 from agent.perception.depth_peaks import GridPeaks, Reason
 from agent.perception.depth_sweep import DepthMap
 from hw.twin.optics.lens import draw_lens
 from hw.twin.scene import generator
+from tests.bench.pictures import bench_peak_shift as claim
+from tests.bench.pictures.bench_peak_shift import Settings, shifts
 
 
 def test_a_way_that_does_nothing_moves_nothing_and_one_that_turns_the_gain_does(monkeypatch):

@@ -5,7 +5,8 @@ import math
 import numpy as np
 
 from agent.experiments.reconstruction.score import distances_to
-from agent.experiments.reconstruction.size import (
+from hw.twin.scene import Solid
+from tests.bench.bench_size import (
     FARTHEST_M,
     MOST,
     RIM_M,
@@ -18,7 +19,6 @@ from agent.experiments.reconstruction.size import (
     stops,
     summary,
 )
-from hw.twin.scene import Solid
 
 
 def test_a_survey_goes_through_all_of_the_basin_in_turns() -> None:

@@ -245,11 +245,11 @@ CLAIM = Claim(
     figures=(
         Figure("alone_keyframes", "keyframes of robots that do not share"),
         Figure("shared_keyframes", "of robots that share what they see"),
-        Figure("shared_ratio", "of that alone", most=0.8),
+        Figure("shared_ratio", "keyframes of robots that share, of those that do not", most=0.8),
         Figure("shared_equal", "all maps are equal in the end, of the seeds", "%", least=95.0),
-        Figure("loss30_keyframes", "keyframes where 30 % of all that is said is lost"),
-        Figure("loss30_ratio", "of that alone", most=0.8),
-        Figure("loss30_equal", "all maps are equal all the same", "%", least=95.0),
+        Figure("loss30_keyframes", "of robots that share, 30 % of all that is said is lost"),
+        Figure("loss30_ratio", "the same where 30 % of all that is said is lost", most=0.8),
+        Figure("loss30_equal", "all maps are equal in the end, with that loss", "%", least=95.0),
     ),
     seeds=60,  # as many as the 95 % take
     explanation="""Five moored robots choose by themselves where to look next, and count how many keyframes all of them

@@ -20,17 +20,16 @@ from agent.experiments.still_camera import (
     BLOCK_PX,
     QUALITY,
     VIEWS,
-    WATER_INDEX,
     StillCamera,
     SweptView,
     breathing,
     lens_positions,
+    mm_per_position,
     sweep_view,
 )
 from agent.perception.depth_sweep import DepthMap, clarity_of, measure
 from agent.perception.enhancement.enhance import apply_colours, classic, enhancer, missing, one_thread
 from hw.camera.camera import Image
-from hw.twin.optics.lens import Lens
 from hw.twin.scene import SceneWater, load_scene
 
 Sweep = list[Image]  # in its order
@@ -67,13 +66,6 @@ def block_peaks(swept: SweptView) -> DepthMap:
     """The peak of every block; without a calibration there are no distances."""
     clarity = clarity_of(swept.images, swept.lens_positions, BLOCK_PX, swept.growth)
     return measure(clarity, BLOCK_PX, None, "matched", QUALITY)
-
-
-def mm_per_position(lens: Lens, lens_position: Array) -> Array:
-    """|d range / d rho|, mm per lens position: vergence 1/f - 1/v, range = index / vergence under water."""
-    v_m = lens.at_position_m(0.0) + lens.per_position_m * lens_position
-    vergence = 1.0 / lens.focal_m - 1.0 / v_m
-    return np.asarray(1e3 * WATER_INDEX / vergence**2 / v_m**2 * abs(lens.per_position_m), np.float64)
 
 
 def shifts(raw: list[DepthMap], after: list[DepthMap], slope: list[Array], step: float) -> Row:
