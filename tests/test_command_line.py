@@ -44,7 +44,7 @@ MISTAKES = [
     (["experiment", "demo", "--jobs", "2"], "runs alone, for it times the machine; leave --jobs, --scheduler out"),
     (["experiment", "list", "--seeds", "3"], "experiment list: takes no --seeds; leave it out"),
     (["experiment", "depth", "runs"], "experiment depth: takes no DIR; leave it out"),
-    (["experiment", "docs", "nowhere"], "nowhere/result.json: no such file; give the folder of a run"),
+    (["experiment", "docs", "nowhere"], "there is no folder docs here; run it in a checkout of the repository"),
     (["calibrate", "lens"], "'lens' is not one of 'run', 'focus', 'camera', 'gamma', 'body', 'landmarks'"),
     (["calibrate", "run", TANK], "say which robot with --robot"),
     (["calibrate", "focus", "table.csv", "--robot", "r1"], "calibrate focus: takes no --robot"),

@@ -187,6 +187,7 @@ def _text(struct: msgspec.Struct) -> str:
 
 PAGES = Path("docs/research")
 ALL = "claims.md"
+FEW = 3  # figures of a claim without targets that the page of all claims shows
 OLDER = "older than the code"  # beside a figure whose code has changed since it was measured
 HEAD = """# Claims
 
@@ -209,18 +210,19 @@ interval keeps it, **missed** when none of it does, else **not shown**. What a f
 # --- words of a figure ---
 
 
-def digits(value: float) -> str:
-    """Three significant digits, without an exponent."""
+def digits(value: float, count: int = 3) -> str:
+    """So many significant digits, without an exponent."""
     if math.isinf(value):
         return "never" if value > 0 else "none"
     if value == 0.0:
         return "0"
-    places = max(0, 2 - math.floor(math.log10(abs(value))))
+    places = max(0, count - 1 - math.floor(math.log10(abs(value))))
     return f"{value:.{places}f}" if places <= 6 else f"{value:.2g}"
 
 
 def value_of(told: Told) -> str:
-    return f"{digits(float(told.value))} {told.unit}".rstrip()
+    count = 4 if told.low == told.high else 3  # one that is exact can be told more closely
+    return f"{digits(float(told.value), count)} {told.unit}".rstrip()
 
 
 def interval_of(told: Told) -> str:
@@ -259,10 +261,12 @@ def write_pages(root: Path = Path()) -> list[Path]:
     for name, text in all_pages(root).items():
         (root / PAGES / name).write_text(text, encoding="utf-8")
         written.append(root / PAGES / name)
-    for name, (claim, figures) in kept_claims(root).items():
+    for name, (_, figures) in kept_claims(root).items():
+        if not figures:
+            continue
         write_kept(name, figures, root / KEPT)
         path = root / PAGES / f"{name}.svg"
-        write_drawing(drawing(figures, claim), path)
+        write_drawing(drawing(figures), path)
         written.append(path)
     return written
 
@@ -298,7 +302,7 @@ def with_headlines(text: str, root: Path = Path()) -> str:
 
 
 def claims_page(kept: Mapping[str, tuple[Claim, list[KeptFigure]]]) -> str:
-    """One row for each figure, below the heading of its group."""
+    """One row for each figure that has a target, below the heading of its group; the claims' pages have the others."""
     lines = [HEAD]
     for group in dict.fromkeys(entry.group for entry in CLAIMS.values()):
         lines += [f"## {group}", "", "| claim | paper | measured | 90 % interval | n | target | | on | |",
@@ -312,10 +316,11 @@ def claims_page(kept: Mapping[str, tuple[Claim, list[KeptFigure]]]) -> str:
 
 def claim_rows(name: str, claim: Claim, figures: Sequence[KeptFigure]) -> Iterator[str]:
     link = f"[{name}]({name}.md)"
+    judged = [one for one in figures if one.told.figure.target] or figures[:FEW]
     if not figures:
         yield f"| {link}: {CLAIMS[name].about} | | not measured | | | | | {claim.measured_on} | |"
     code = code_of(name) if figures else ""
-    for one in figures:
+    for one in judged:
         yield f"| {link}: {row(one.told)} | {claim.measured_on} | {age(one, code)} |"
 
 
@@ -361,14 +366,14 @@ def origin(one: KeptFigure) -> str:
 # --- the drawing: each figure a line of its own, with its interval and its target ---
 
 
-def drawing(figures: Sequence[KeptFigure], claim: Claim) -> Drawing:
+def drawing(figures: Sequence[KeptFigure]) -> Drawing:
     """Dot: measured. Bar: 90 % interval. Green: where it has to lie."""
     from matplotlib.figure import Figure as Drawing
 
-    height_in = 0.55 * max(len(figures), 1) + 0.3
+    height_in = 0.55 * len(figures) + 0.3
     drawn = Drawing(figsize=(7.5, height_in), layout="constrained")
-    panels = drawn.subplots(max(len(figures), 1), 1, squeeze=False)[:, 0]
-    for panel, one in zip(panels, figures, strict=False):
+    panels = drawn.subplots(len(figures), 1, squeeze=False)[:, 0]
+    for panel, one in zip(panels, figures, strict=True):
         told = one.told
         ends = [end for end in map(float, (told.low, told.value, told.high)) if math.isfinite(end)]
         limits = [limit for limit in (told.least, told.most) if limit is not None]
