@@ -221,14 +221,18 @@ def digits(value: float, count: int = 3) -> str:
 
 
 def value_of(told: Told) -> str:
-    count = 4 if told.low == told.high else 3  # one that is exact can be told more closely
-    return f"{digits(float(told.value), count)} {told.unit}".rstrip()
+    return f"{digits(float(told.value), 4 if is_exact(told) else 3)} {told.unit}".rstrip()
+
+
+def is_exact(told: Told) -> bool:
+    """One seed says all: no chance is in it, and it can be told more closely."""
+    return told.n == 1 and told.low == told.high
 
 
 def interval_of(told: Told) -> str:
     low, high = float(told.low), float(told.high)
-    if low == high:
-        return "exact" if math.isfinite(low) else ""
+    if is_exact(told):
+        return "exact"
     ends = [digits(end) if math.isfinite(end) else "?" for end in (low, high)]
     return " to ".join(ends) if any(end != "?" for end in ends) else ""
 
