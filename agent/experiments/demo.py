@@ -55,7 +55,7 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
     """One dive, as fast as the machine can. Raises Failed where one of its processes fails."""
     dive = DIVES[case]
     with temporary_folder() as folder:
-        silent = Console(file=StringIO())
+        silent = Console(file=StringIO(), markup=False, emoji=False)
         out, summary = demo(
             None, dive.protocol, dive.loss, seed, settings.limit_s, folder / "run", silent, dive.fleet, speed=math.inf
         )
