@@ -160,7 +160,7 @@ def show_list() -> None:
     """Name, one line, cost and last result of each."""
     from rich.table import Table
 
-    from agent.experiments.results import read_kept
+    from agent.experiments.results import age, read_kept
 
     shown = Table()
     for head in ("claim", "about", "two cores", "last result", ""):
@@ -176,7 +176,7 @@ def show_list() -> None:
         dates = sorted({one.run.date for one in kept})
         runs = {one.run.command: one.run.seconds_a_seed * (one.seeds[1] - one.seeds[0] + 1) for one in kept}
         cost = f"{sum(runs.values()) / 2 / 60:.1f} min" if kept else ""
-        old = "older than the code" if any(one.run.code != code for one in kept) else ""
+        old = next(filter(None, (age(one, code) for one in kept)), "")
         last = f"{', '.join(counts) or 'no targets'}; {dates[-1]}" if kept else "not measured"
         shown.add_row(name, entry.about, cost, last, old)
     terminal().print(shown)

@@ -69,13 +69,9 @@ class Figure(NamedTuple):
     @property
     def target(self) -> str:
         """As tables show it."""
-        if self.least is not None and self.most is not None:
-            return f"{self.least:g} to {self.most:g}"
-        return "" if self.most is None and self.least is None else target_of(self.least, self.most)
-
-
-def target_of(least: float | None, most: float | None) -> str:
-    return f">= {least:g}" if most is None else f"<= {most:g}"
+        if self.least is None:
+            return "" if self.most is None else f"<= {self.most:g}"
+        return f">= {self.least:g}" if self.most is None else f"{self.least:g} to {self.most:g}"
 
 
 class NoSettings(msgspec.Struct, frozen=True, kw_only=True):
@@ -171,7 +167,7 @@ def of_share(share: Share, scale: float = 1.0) -> Measured:
 
 def of_quantile(quantile: Quantile) -> Measured:
     """By order statistics: how many of n values lie below a quantile is binomial."""
-    ordered = sorted(math.inf if value is None else value for value in quantile.values)
+    ordered = in_order(quantile.values)
     n, share = len(ordered), 1e-2 * quantile.percent
     if not n:
         return Measured(math.inf, -math.inf, math.inf, 0)
@@ -179,7 +175,7 @@ def of_quantile(quantile: Quantile) -> Measured:
 
     tail = 0.5 * (1.0 - LEVEL)
     low, high = round(binom.ppf(tail, n, share)), round(binom.ppf(1.0 - tail, n, share)) + 1
-    value = ordered[max(math.ceil(quantile.percent * n / 100.0) - 1, 0)]
+    value = kept_by(ordered, quantile.percent)
     return Measured(value, ordered[low - 1] if low else -math.inf, ordered[high - 1] if high <= n else math.inf, n)
 
 
@@ -219,8 +215,17 @@ def percentile(values: Sequence[float | None], percent: float) -> float | None:
 
     Of one value a seed take Quantile.
     """
-    ordered = sorted(math.inf if value is None else value for value in values)
-    if not ordered:
+    if not len(values):
         return None
-    found = ordered[max(math.ceil(percent * len(ordered) / 100.0) - 1, 0)]
+    found = kept_by(in_order(values), percent)
     return found if math.isfinite(found) else None
+
+
+def in_order(values: Sequence[float | None]) -> list[float]:
+    """None, which is never, comes last."""
+    return sorted(math.inf if value is None else value for value in values)
+
+
+def kept_by(ordered: Sequence[float], percent: float) -> float:
+    """The smallest value that at least so many percent keep."""
+    return ordered[max(math.ceil(percent * len(ordered) / 100.0) - 1, 0)]

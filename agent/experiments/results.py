@@ -115,10 +115,10 @@ def write_result(result: Result, run: Run, folder: Path) -> None:
     write_whole(folder / RUN, _text(run))
 
 
-def run_of(plan: Plan, command: str, seconds_a_seed: float, quick: bool, date: datetime | None = None) -> Run:
+def run_of(plan: Plan, command: str, seconds_a_seed: float, quick: bool) -> Run:
     about = environment()
     return Run(
-        date=f"{date or datetime.now(UTC):%Y-%m-%d}",
+        date=f"{datetime.now(UTC):%Y-%m-%d}",
         commit=about["commit"][:10] + ("+" if about["dirty"] == "yes" else ""),
         processor=about["cpu"],
         command=command,
@@ -251,6 +251,7 @@ def table(figures: Sequence[Told], title: str) -> Table:
 
 # --- pages ---
 
+KeptClaims = Mapping[str, tuple[Claim, list[KeptFigure]]]  # by name
 
 README, BEGIN, END = "README.md", "<!-- figures: aucamp experiment docs -->\n", "<!-- end of figures -->\n"
 
@@ -258,14 +259,14 @@ README, BEGIN, END = "README.md", "<!-- figures: aucamp experiment docs -->\n", 
 def write_pages(root: Path = Path()) -> list[Path]:
     """All pages, each claim's figure, the README's figures, and the results by today's words and limits. Returns what
     was written."""
-    written = []
+    written, kept = [], kept_claims(root)
     if (readme := root / README).exists():
-        readme.write_text(with_headlines(readme.read_text(encoding="utf-8"), root), encoding="utf-8")
+        readme.write_text(with_headlines(readme.read_text(encoding="utf-8"), kept), encoding="utf-8")
     (root / PAGES).mkdir(parents=True, exist_ok=True)
-    for name, text in all_pages(root).items():
+    for name, text in all_pages(kept).items():
         (root / PAGES / name).write_text(text, encoding="utf-8")
         written.append(root / PAGES / name)
-    for name, (_, figures) in kept_claims(root).items():
+    for name, (_, figures) in kept.items():
         if not figures:
             continue
         write_kept(name, figures, root / KEPT)
@@ -275,13 +276,12 @@ def write_pages(root: Path = Path()) -> list[Path]:
     return written
 
 
-def all_pages(root: Path = Path()) -> dict[str, str]:
+def all_pages(kept: KeptClaims) -> dict[str, str]:
     """The text of every page by its name."""
-    kept = kept_claims(root)
     return {ALL: claims_page(kept)} | {f"{name}.md": claim_page(name, *one) for name, one in kept.items()}
 
 
-def kept_claims(root: Path) -> dict[str, tuple[Claim, list[KeptFigure]]]:
+def kept_claims(root: Path = Path()) -> KeptClaims:
     """Each claim of the table, with what was kept of it."""
     found = {}
     for name, entry in CLAIMS.items():
@@ -290,11 +290,11 @@ def kept_claims(root: Path) -> dict[str, tuple[Claim, list[KeptFigure]]]:
     return found
 
 
-def with_headlines(text: str, root: Path = Path()) -> str:
+def with_headlines(text: str, kept: KeptClaims) -> str:
     """The README with its figures. Raises ValueError where it has no place for them."""
     before, rest = text.split(BEGIN)
     _, after = rest.split(END)
-    told = {(name, one.told.key): one.told for name, (_, figures) in kept_claims(root).items() for one in figures}
+    told = {(name, one.told.key): one.told for name, (_, figures) in kept.items() for one in figures}
     rows = [
         f"| [{told[key].words}](docs/research/{key[0]}.md) | {told[key].paper} | {value_of(told[key])} | "
         f"{interval_of(told[key])} | {mark(told[key])} |"
@@ -305,7 +305,7 @@ def with_headlines(text: str, root: Path = Path()) -> str:
     return before + BEGIN + "\n" + "\n".join([*head, *rows]) + "\n\n" + END + after
 
 
-def claims_page(kept: Mapping[str, tuple[Claim, list[KeptFigure]]]) -> str:
+def claims_page(kept: KeptClaims) -> str:
     """One row for each figure that has a target, below the heading of its group; the claims' pages have the others."""
     lines = [HEAD]
     for group in dict.fromkeys(entry.group for entry in CLAIMS.values()):

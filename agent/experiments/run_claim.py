@@ -206,8 +206,9 @@ def begin(plan: Plan, folder: Path) -> None:
         raise ConfigError(f"{folder}: cannot be written ({error.strerror}); give --out another folder") from None
     except json.JSONDecodeError:
         raise ConfigError(f"{path}: is no plan of a run; give --out a new folder") from None
+    asked = plan.of
     for key, words in (("claim", "claim"), ("settings", "settings"), ("code", "state of the code")):
-        if known.get(key) != plan.of[key]:
+        if known.get(key) != asked[key]:
             raise ConfigError(f"{folder}: holds seeds of another {words}; give --out a new folder")
 
 
