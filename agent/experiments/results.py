@@ -20,7 +20,8 @@ from rich.table import Table
 from agent.core.config import ConfigError
 from agent.experiments.claim import Claim, Figure, Measured, verdict
 from agent.experiments.registry import CLAIMS, HEADLINES, code_of, load
-from agent.experiments.run_claim import Plan, write_whole
+from agent.experiments.run_claim import Plan
+from agent.process.command import write_whole
 from replay.files.mcap_file import environment
 
 if TYPE_CHECKING:

@@ -25,7 +25,7 @@ from agent.clock import machine
 from agent.core.config import ConfigError
 from agent.experiments.claim import Claim, Row
 from agent.experiments.registry import Entry, code_hash, load
-from agent.process.command import Failed, Progress
+from agent.process.command import Failed, Progress, write_whole
 
 PLAN, FINISHED, ROWS = "plan.json", "finished.jsonl", "rows.json"
 TIMED_OUT_S = 30.0  # until a scheduler answers
@@ -238,10 +238,3 @@ def write_line(file: IO[str], line: str) -> None:
     file.write(line)
     file.flush()
     os.fsync(file.fileno())
-
-
-def write_whole(path: Path, text: str) -> None:
-    """All of it or nothing."""
-    part = path.with_name(f".{path.name}.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)

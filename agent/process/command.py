@@ -134,6 +134,13 @@ def free_name(path: Path) -> Path:
     return free
 
 
+def write_whole(path: Path, text: str) -> None:
+    """All of it or nothing: a file that was there is as it was until the new one is written."""
+    part = path.with_name(f".{path.name}.part")
+    part.write_text(text, encoding="utf-8")
+    part.replace(path)
+
+
 def new_recording(path: Path) -> Path:
     """The path of a recording, where nothing is yet. Raises ConfigError for what would not be found as one again."""
     if path.suffix != ".mcap":

@@ -24,7 +24,7 @@ from agent.core.linear_algebra import upper
 from agent.core.messages import Symmetric
 from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import TiltedPeak, with_sag
-from agent.process.command import Failed, free_name
+from agent.process.command import Failed, free_name, write_whole
 
 # --- fits ---
 # Fit what calibration measured: the focus hyperbola. And how such fits are made, on a handful of unknowns: by Gauss-
@@ -210,9 +210,7 @@ def put(path: Path, table: str, fields: dict[str, Any], source: Path) -> str:
     kept = free_name(path.with_name(path.name + ".before"))
     if before:
         shutil.copy2(path, kept)
-    fresh = path.with_name(path.name + ".part")
-    fresh.write_text(tomli_w.dumps(content), encoding="utf-8")
-    fresh.replace(path)
+    write_whole(path, tomli_w.dumps(content))
     if not before:
         said = f"[{table}] written to {path}, the calibration of robot '{content['robot']}'"
     else:

@@ -24,7 +24,7 @@ from agent.core.config import ConfigError, Fleet, Landmarks, Tag, Tank, read_tom
 from agent.core.ranging.camera_model import Calibration, at_lens_position, load_calibration
 from agent.core.step_io import Inputs, SeenTag
 from agent.perception.tags import Array, find_tags
-from agent.process.command import Failed, Progress, free_name, with_bar
+from agent.process.command import Failed, Progress, free_name, with_bar, write_whole
 from agent.robot.fleet_reader import broken_landmark_rules, load_fleet
 from agent.tools.enhance import pictures
 from agent.tools.tag_bundle import CORNERS, HUBER, Bundle, Cameras, Prior, SurveyFrame, Tags, bundle, turned_by
@@ -119,9 +119,7 @@ def put(path: Path, text: str) -> str:
     kept = free_name(path.with_name(path.name + ".before")) if path.exists() else None
     if kept is not None:
         shutil.copy2(path, kept)
-    fresh = path.with_name(path.name + ".part")
-    fresh.write_text(text, encoding="utf-8")
-    fresh.replace(path)
+    write_whole(path, text)
     said = f'written to {path}; in the fleet file: [landmarks] file = "{path.name}"'
     return said if kept is None else f"{said}; the survey as it was: {kept}"
 
