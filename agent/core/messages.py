@@ -105,6 +105,7 @@ class Sample(msgspec.Struct, frozen=True, array_like=True):
         Count, means("of the exposure, on the clock of its origin; relays may write the age, but not this")
     ] = 0
     signature: Annotated[Signature, means(SIGNED)] = b""
+    unsure_ns: Annotated[Count, means("by which the age may be wrong: half of the round trips on its way, ns")] = 0
 
 
 class Proposal(msgspec.Struct, frozen=True, array_like=True):
@@ -117,6 +118,10 @@ class Proposal(msgspec.Struct, frozen=True, array_like=True):
     counter: Annotated[int, Meta(ge=1, le=10**9), means("of the epoch that should begin")]
     moving: Annotated[bool, means("whether the target moves in it")]
     signature: Annotated[Signature, means(SIGNED)] = b""
+    step_m: Annotated[
+        Vector | None, means("by which its own samples saw the target move, m, world frame; null: it rests again")
+    ] = None
+    against: Annotated[bool, means("its own samples say that the target did not move by that: no new epoch")] = False
 
 
 class Holding(msgspec.Struct, frozen=True, array_like=True):
@@ -164,6 +169,12 @@ class Estimate(Message, frozen=True, kw_only=True):
     common: Annotated[
         str, Meta(max_length=16), means("digest of what all fleet files have to share; empty: not said")
     ] = ""
+    echo: Annotated[
+        tuple[Count, Count] | None,
+        means(
+            "newest `sent_ns` heard from the neighbour that it is said to, and ns since that arrived; null: never heard"
+        ),
+    ] = None
 
 
 class Presence(Message, frozen=True, kw_only=True):
@@ -235,6 +246,10 @@ class Explain(Message, frozen=True, kw_only=True):
         float | None, means("normalised innovation squared of the own prior; mean 3 when all is well, 2 of a bearing")
     ] = None
     speed_m_s: Annotated[float | None, means("m/s, of a target that moves")] = None
+    moved_m: Annotated[
+        Vector | UnsetType | None,
+        means("by which the target may have moved, m, world frame, while nobody knows; null: it is settled"),
+    ] = UNSET
     sway_m: Annotated[
         dict[str, float],
         means("protocol `evidence`: m, from the posterior to where it would be without this origin"),

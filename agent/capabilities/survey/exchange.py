@@ -18,8 +18,9 @@ from agent.capabilities.survey.coverage_map import CoverageMap, Key
 from agent.core.capability_messages import SHORT_MASK, Claim, Frame, Has, Keyframe, View, claim_fault, frame_fault
 from agent.core.codec import Refusal
 from agent.core.config import Fleet
+from agent.core.link_clocks import CLOCKS_NS
 from agent.core.step_transaction import Revertible
-from agent.core.trust import CLOCKS_NS, MessageCache
+from agent.core.trust import MessageCache
 
 SILENT_NS = 3_000_000_000  # by then an origin no longer speaks for itself
 CLAIM_NS = 500_000_000  # twice a second each says what it holds

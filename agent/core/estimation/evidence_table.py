@@ -17,10 +17,10 @@ from zlib import crc32
 from agent.core.estimation.fuse import AGREE, Opinion
 from agent.core.estimation.interface import NOTHING, Bearing, Prior
 from agent.core.estimation.track import chord, line
-from agent.core.linear_algebra import ZERO, apply, distance2, inverse, minus, plus, semidefinite, times, trace
+from agent.core.linear_algebra import ZERO, add, apply, distance2, inverse, minus, plus, semidefinite, times, trace
+from agent.core.link_clocks import CLOCKS_NS
 from agent.core.messages import Entry, Sample, Symmetric, Vector
 from agent.core.step_transaction import Revertible
-from agent.core.trust import CLOCKS_NS
 
 Key = tuple[str, int]  # origin, incarnation
 
@@ -132,7 +132,7 @@ def opinion(origin: str, entries: list[Entry]) -> Opinion | None:
             break
         share = 1.0 if _alike(entries[0], entry) else min(1.0, most / trace(entry.information))
         information = plus(information, times(share, entry.information))
-        vector = _sum(vector, share, entry.vector)
+        vector = add(vector, share, entry.vector)
         systematic = plus(systematic, times(share * entry.count, entry.systematic_m2))
         total += share * entry.count
     random = inverse(information)
@@ -170,10 +170,6 @@ def mark(entry: Entry) -> int:
 
 def _rank(entry: Entry) -> tuple[Any, ...]:
     return entry.count, entry.information, entry.vector, entry.systematic_m2
-
-
-def _sum(a: Vector, k: float, b: Vector) -> Vector:
-    return a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]
 
 
 # --- checks of evidence ---

@@ -112,6 +112,9 @@ class EstimateCache(MessageCache[Estimate]):
     def _addressed(self, message: Estimate) -> bool:
         return super()._addressed(message) and message.target == self._target
 
+    def _echo_of(self, message: Estimate) -> tuple[int, int] | None:
+        return message.echo
+
     def usable(self, now_ns: int, validity_ns: int) -> tuple[tuple[str, Estimate], ...]:
         """N_i ∩ S^t: neighbours heard of late that see the target, in the order of their names."""
         found = []

@@ -9,8 +9,9 @@ import pytest
 from agent.core.codec import Refusal, decode, encode
 from agent.core.estimation.evidence_table import INCARNATIONS
 from agent.core.estimation.interface import EstimateCache, Prior
+from agent.core.link_clocks import CLOCKS_NS
 from agent.core.messages import Entry, Estimate, Gossip
-from agent.core.trust import CLOCKS_NS, CachedMessage
+from agent.core.trust import CachedMessage
 from tests.core.estimation.linked_robots import COV, NAMES, PUBLIC, SECOND_NS, SIGN, Net
 from tests.sample_messages import estimate
 
