@@ -12,8 +12,7 @@ from __future__ import annotations
 
 import contextlib
 import math
-import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import NamedTuple, NoReturn, get_args
 
 import msgspec
@@ -38,20 +37,20 @@ from agent.experiments.claim import Row
 from agent.perception.clarity import around
 from agent.perception.detection.detectors import load_detectors
 from agent.perception.vision import HOMING_S, Vision
-from agent.process.command import shipped_fleet
+from agent.process.command import shipped_fleet, temporary_folder
 from agent.robot.fleet_reader import load_fleet
 from agent.tools.bench_calibration import BACKLASH_US, calibrate, focus_rows
 from agent.tools.focus_calibration import FocusRow
 from hw.camera.camera import PATIENCE_S, CameraError, FocusRange, Frame, Roi, deliverable
 from hw.stm32.protocol import HostProtocol
-from hw.twin.board import Board
+from hw.twin.board import Board, interpreter
 from hw.twin.calibration_bench import Bench
 from hw.twin.dive import Dive
 from hw.twin.optics.lens import Vcm, draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.physics.body import SENSOR_M, SURVEY_DEG, SURVEY_M
 from hw.twin.physics.sensors import CORNERS, DRIFT_M_S, NOISE_M
-from hw.twin.scene import Scene, Solid, generator, load_scene
+from hw.twin.scene import Scene, Solid, generator, in_daylight, scene_of
 from hw.twin.truth import PaintedTag
 
 # --- a robot of the twin at any pose: on the bench first, then in the water ---
@@ -64,17 +63,19 @@ DIVE_NS = 10_000_000_000_000  # hours after the bench: the coil is warm
 
 
 class PosedRobot:
-    """Robot `name` of a fleet in the fleet's own world, with this sensor; `submerge` takes it off the bench."""
+    """Robot `name` of a fleet in the fleet's own world, with this sensor; `submerge` takes it off the bench.
+
+    The bench has daylight and nothing but its board, whatever the scene.
+    """
 
     def __init__(self, fleet: Fleet, name: str, sensor: str) -> None:
         self._fleet, self._name = fleet, name
-        self._scene = msgspec.structs.replace(load_scene(fleet.twin.scene), camera=sensor)
+        self._scene = msgspec.structs.replace(scene_of(fleet), camera=sensor)
         seed = fleet.twin.seed
         self._lens = draw_lens(self._scene.camera, generator(seed, name, "lens"))
         self._vcm = Vcm(self._lens, generator(seed, name, "vcm"))
         self.size = (self._lens.width, self._lens.height)
-        empty = msgspec.structs.replace(self._scene, solid=())
-        self._bench = self._with(empty, 0)
+        self._bench = self._with(in_daylight(msgspec.structs.replace(self._scene, solid=(), creature=())), 0)
 
     def calibrate(self) -> Calibration:
         """The bench's whole procedure. Raises CalibrationRefused."""
@@ -295,40 +296,61 @@ SET_POINT_TICKS = 5  # 20 Hz
 
 
 class Host:
-    """The ground computer's half of one tether, in the virtual time of a dive that goes in lock-step.
+    """The ground computer's half of one tether, and its wire, in the virtual time of a dive that goes in lock-step.
 
-    It speaks the driver's own protocol (hw.stm32.protocol) with a board of the twin on its real pty, and is called
-    once a tick.
+    It speaks the driver's own protocol (hw.stm32.protocol) with a board of the twin, and is called once a tick. Bytes
+    are there at once: a pty's are when the machine has time for them, and a dive would depend on that.
     """
 
-    def __init__(self, board: Board) -> None:
+    def __init__(self) -> None:
         self.protocol = HostProtocol(1)
-        self.heard: list[Telemetry] = []
-        self._path = board.port
-        self._port = -1
-
-    def __enter__(self) -> Host:
-        self._port = os.open(self._path, os.O_RDWR | os.O_NOCTTY | os.O_NONBLOCK)
         self.protocol.connected()
         self.protocol.arm()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        os.close(self._port)
+        self.heard: list[Telemetry] = []
+        self._to_board = self._to_host = b""
 
     def exchange(self, wanted: SetPoint, dive: Dive) -> None:
         """Take what the board said, say what is due; the set-point in every SET_POINT_TICKS-th tick."""
         now_ns, protocol = dive.now_ns, self.protocol
-        with contextlib.suppress(BlockingIOError):  # nothing said since
-            protocol.receive(os.read(self._port, 4096), now_ns)
+        data, self._to_host = self._to_host, b""
+        protocol.receive(data, now_ns)
         self.heard += protocol.telemetry
         protocol.telemetry.clear()
-        out = protocol.due(now_ns)
+        self._to_board += protocol.due(now_ns)
         if dive.ticks % SET_POINT_TICKS == 0:
-            out += protocol.set_point(wanted, now_ns)
-        if out:
-            os.write(self._port, out)
+            self._to_board += protocol.set_point(wanted, now_ns)
 
     def last_said(self) -> str:
         """The board's last line of text."""
         return self.protocol.lines[-1].text if self.protocol.lines else "nothing heard"
+
+    # The wire, as the board has it.
+
+    def plug(self) -> None:
+        """It is never out."""
+
+    def unplug(self) -> None:
+        """Nor pulled."""
+
+    def receive(self) -> bytes:
+        data, self._to_board = self._to_board, b""
+        return data
+
+    def unread(self) -> int:
+        return len(self._to_host)
+
+    def send(self, data: bytes) -> None:
+        self._to_host += data
+
+
+@contextlib.contextmanager
+def hosts_of(dive: Dive, settings: Mapping[str, str] | None = None) -> Iterator[dict[str, Host]]:
+    """Boot a board for each robot of a dive; settings: of its flash."""
+    hosts = {name: Host() for name in dive.robots}
+    with temporary_folder() as folder, contextlib.ExitStack() as stack:
+        for (name, host), tare_pa in zip(hosts.items(), dive.tare_pa, strict=True):
+            board = Board(name, folder, tare_pa, interpreter=interpreter(), settings=settings, cable=host)
+            stack.callback(board.close)
+            dive.boards.append(board)
+            board.start()
+        yield hosts

@@ -1,19 +1,6 @@
 """A claim: what is said of Aucamp, how it is measured, and what has to come out. Experiments and benches are claims.
 
-A claim is one small module with a constant CLAIM, and a row in registry.py:
-
-    class Settings(msgspec.Struct, frozen=True, kw_only=True):
-        pull_n: float = 0.05
-
-    def run(seed: int, case: str, settings: Settings) -> list[Row]:
-        return [{"off_mm": swim(seed, settings.pull_n)}]
-
-    def summary(rows: Rows) -> dict[str, Value]:
-        return {"rms_mm": rms([row["off_mm"] for row in rows["hold"]])}
-
-    CLAIM = Claim(run=run, summary=summary, settings=Settings, cases=("hold",), measured_on="twin",
-                  figures=(Figure("rms_mm", "holds its place", "mm", most=6.0),), explanation="...")
-
+A claim is one small module with a constant CLAIM, and a row in registry.py; docs/experiments.md has one.
 `run` is pure: the same seed gives the same rows, in any process; it draws all chance from its seed. A bench measures
 the machine that it runs on, so its rows are ratios of two ways taken in one run, and its seeds are repetitions.
 """
@@ -53,7 +40,7 @@ class Quantile(NamedTuple):
     percent: float
 
 
-Value = float | Share | Quantile | None  # None: never, which misses any target
+Value = float | Share | Quantile | None  # None: never, which misses any target; NaN: nothing there to measure
 
 
 class Figure(NamedTuple):
@@ -114,6 +101,9 @@ class Measured(NamedTuple):
     n: int
 
 
+UNKNOWN = Measured(math.inf, -math.inf, math.inf, 0)  # nothing was there to measure, which shows nothing
+
+
 def measure(claim: Claim, found: Mapping[str, Mapping[int, Sequence[Row]]]) -> dict[str, Measured]:
     """All figures of the rows by case and seed. The bootstrap draws whole seeds, the same ones for all cases, so that a
     ratio of two cases is one of pairs."""
@@ -139,6 +129,9 @@ def measure(claim: Claim, found: Mapping[str, Mapping[int, Sequence[Row]]]) -> d
         if isinstance(value, Quantile):
             measured[figure.key] = of_quantile(value)
             continue
+        if value is not None and math.isnan(value):
+            measured[figure.key] = UNKNOWN
+            continue
         one = as_number(value, figure)
         low, high = (one, one) if claim.exact else interval([as_number(each[figure.key], figure) for each in resamples])
         measured[figure.key] = Measured(one, low, high, len(seeds))
@@ -158,7 +151,7 @@ def interval(values: Sequence[float]) -> tuple[float, float]:
 def of_share(share: Share, scale: float = 1.0) -> Measured:
     """Clopper and Pearson's interval."""
     if not share.of:
-        return Measured(math.inf, -math.inf, math.inf, 0)
+        return UNKNOWN
     from scipy.stats import binomtest  # here, for it takes a second
 
     ends = binomtest(share.hits, share.of).proportion_ci(LEVEL, "exact")
@@ -170,7 +163,7 @@ def of_quantile(quantile: Quantile) -> Measured:
     ordered = in_order(quantile.values)
     n, share = len(ordered), 1e-2 * quantile.percent
     if not n:
-        return Measured(math.inf, -math.inf, math.inf, 0)
+        return UNKNOWN
     from scipy.stats import binom
 
     tail = 0.5 * (1.0 - LEVEL)

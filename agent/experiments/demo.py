@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Sequence
 from functools import partial
 from io import StringIO
-from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -17,7 +15,7 @@ from agent.core.config import Protocol
 from agent.demo.demo import demo
 from agent.demo.summary import BARS, PASS_PERCENT
 from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, Value
-from agent.process.command import Failed, temporary_folder
+from agent.process.command import temporary_folder
 
 ALL_PERCENT = 95.0  # of the dives have to be right
 
@@ -56,21 +54,12 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
     dive = DIVES[case]
     with temporary_folder() as folder:
         silent = Console(file=StringIO(), markup=False, emoji=False)
-        out, summary = demo(
+        _, summary = demo(
             None, dive.protocol, dive.loss, seed, settings.limit_s, folder / "run", silent, dive.fleet, speed=math.inf
         )
-        speed = times_real_time(out / "logs" / "twin.log")
     (target,) = summary["targets"].values()
     judge = of_fish if case == "fish" else of_stone if case == "box" else of_ball
-    return [{"passed": summary["verdict"] == "pass", "times_real_time": speed, **judge(target)}]
-
-
-def times_real_time(log: Path) -> float:
-    """How fast the dive went, as the twin says last. Raises Failed."""
-    found = re.search(r"([\d.]+) times real time", log.read_text(encoding="utf-8"))
-    if found is None:
-        raise Failed(f"{log.name}: does not say how fast the dive went")
-    return float(found[1])
+    return [{"passed": summary["verdict"] == "pass", **judge(target)}]
 
 
 # --- what its summary.json says of the target ---
@@ -107,7 +96,6 @@ def summary(rows: Rows) -> dict[str, Value]:
     for case, dives in rows.items():
         median = partial(_median, dives)
         found[f"{case}_passed"] = Share(sum(dive["passed"] for dive in dives), len(dives))
-        found[f"{case}_times_real_time"] = median("times_real_time")
         if case in AT_BALL:
             errors = [dive["error_percent"] for dive in dives]
             within = sum(error is not None and error < PASS_PERCENT for error in errors)
@@ -152,7 +140,6 @@ def _figures(case: str) -> tuple[Figure, ...]:
     return (
         *own,
         figure("passed", "dives that pass their own verdict", "%", least=ALL_PERCENT),
-        figure("times_real_time", "a dive's speed, median", "times real time"),
     )
 
 

@@ -1,8 +1,7 @@
 """Whole views in blocks, how far each block is, against the twin's own depth.
 
-The lens is calibrated first, against a flat wall at measured distances, with the sweep and the blocks that measure
-later. Then each of four views of the tank is swept once; the ways to take a peak share their sweeps and their blocks,
-so that nothing but the peak differs.
+The lens is calibrated with the sweep and the blocks that measure later. The ways to take a peak share their sweeps and
+their blocks, so that nothing but the peak differs.
 """
 
 from __future__ import annotations
@@ -17,7 +16,6 @@ from agent.core.ranging.focus import Array, Method, TiltedPeak, at_tilt, fit_pea
 from agent.experiments.claim import Claim, Figure, Row, Rows, Value
 from agent.experiments.still_camera import (
     BLOCK_PX,
-    QUALITY,
     VIEWS,
     StillCamera,
     SweptView,
@@ -80,11 +78,11 @@ def wall_peak(camera: StillCamera, view: TankView, growth: float) -> tuple[float
 # --- depth of whole views, and its errors ---
 
 
-def map_of(swept: SweptView, fit: FocusFit, method: Method, split: bool = True) -> DepthMap:
-    """The depth of every block, with this way to take the peak; split: of its parts where it holds two depths."""
+def map_of(swept: SweptView, fit: FocusFit, method: Method) -> DepthMap:
+    """The depth of every block, with this way to take the peak, or of its parts where it holds two depths."""
     tilt = math.radians(swept.view.tilt_deg)  # a robot knows it from gimbal and pressure
-    clarity = clarity_of(swept.images, swept.lens_positions, BLOCK_PX, swept.growth, split=split)
-    return measure(clarity, BLOCK_PX, at_tilt(fit, tilt), method, MIN_QUALITY if split else QUALITY)
+    clarity = clarity_of(swept.images, swept.lens_positions, BLOCK_PX, swept.growth, split=True)
+    return measure(clarity, BLOCK_PX, at_tilt(fit, tilt), method, MIN_QUALITY)
 
 
 def errors(swept: list[SweptView], maps: list[DepthMap]) -> dict[str, float | None]:
@@ -138,17 +136,14 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
     growth = breathing(camera)
     fit = calibrate(camera, growth, settings.repeats)
     swept = [sweep_view(camera, view, growth) for view in VIEWS[: settings.views]]
-    rows: list[Row] = [{"way": way, **errors(swept, [map_of(one, fit, way) for one in swept])} for way in METHODS]
-    # On squares that do not grow with the picture the parts of a block would disagree.
-    fixed = [map_of(one._replace(growth=0.0), fit, "matched", split=False) for one in swept]
-    return [*rows, {"way": "fixed", **errors(swept, fixed)}]
+    return [{"way": way, **errors(swept, [map_of(one, fit, way) for one in swept])} for way in METHODS]
 
 
 def summary(rows: Rows) -> dict[str, Value]:
     """Means over the lenses of what each has."""
     found: dict[str, Value] = {}
     for case, of_case in rows.items():
-        for way in (*METHODS, "fixed"):
+        for way in METHODS:
             for key in ("mm", "near_mm", "told"):
                 values = [row[key] for row in of_case if row["way"] == way]
                 scale = 100.0 if key == "told" else 1.0
@@ -171,7 +166,6 @@ CLAIM = Claim(
         Figure("crop-1280_parabola_near_mm", "the same nearer than 0.6 m", "mm"),
         Figure("crop-1280_argmax_mm", "depth to 1.5 m by the largest sample, as in the paper", "mm"),
         Figure("crop-1280_argmax_near_mm", "the same nearer than 0.6 m", "mm"),
-        Figure("crop-1280_fixed_mm", "matched peaks of blocks that do not grow with the picture", "mm"),
         Figure("imx519-640_matched_mm", "depth to 1.5 m with the coarser camera, matched peaks", "mm"),
         Figure("imx519-640_matched_near_mm", "the same nearer than 0.6 m", "mm"),
         Figure("imx519-640_matched_told", "share of the area that has a depth", "%"),

@@ -1,8 +1,7 @@
 """How good is detection in a user's own water? Every picture of a folder is searched for balls of every colour.
 
-Found is what lies, in centre and in radius, within a fifth of the radius of a marked ball of the colour, and besides
-within the marking's own tolerance; everything else that is called a ball is false. Orange is what the rules of a known
-contest call its red buoy: red found where orange is marked, or the other way round, is neither found nor false.
+Orange is what the rules of a known contest call its red buoy: red found where orange is marked, or the other way
+round, is neither found nor false.
 """
 
 from __future__ import annotations

@@ -1,20 +1,19 @@
-"""Can robots follow a target that swims, and what does it help that they talk and that they swim?
+"""Can three robots follow a target that swims, and what does it help that they talk?
 
-A seed is a world of its own: bodies, gimbals, survey, pull, the target's way, weeds, and words that are lost. All
-fleets dive in the same worlds, once at each speed of the target. Closed loop with the kernel's agents, on the twin's
-bodies under the board's own firmware, with drawn frames.
+All fleets dive in the same worlds, once at each speed of the target; following_dive.py has a dive.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
-from agent.experiments.claim import Claim, Figure, Row, Rows, Value, percentile
+from agent.capabilities.swim.barrier import RINGS_M
+from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value, percentile
 from agent.experiments.following_dive import WATCH_S, Case, Draw, dive
 
 # --- what is counted of a dive: which robots saw it, how well it was known, how soon a robot that lost it had it again
@@ -33,12 +32,12 @@ class Again(NamedTuple):
 
 
 def row_of(case: Case, draw: Draw) -> Row:
-    """Counts and sums of the watch, which add up over dives. Where only one robot is, or robots say nothing of the
-    target, it does not matter what others see: all times are those of a robot alone."""
+    """Counts and sums of the watch, which add up over dives. Where robots say nothing of the target, it does not matter
+    what others see: all times are those of a robot alone."""
     sees, open_eyes = draw.sees[draw.watched :], ~draw.covered[draw.watched :]
     at_once = sees.sum(axis=1)[open_eyes.any(axis=1)]
     error_m, nees = draw.error_m[draw.watched :], draw.nees[draw.watched :]
-    told = case.robots > 1 and case.policy != "silent"
+    told = not case.silent
     again = losses(draw)
     alone_s = [one.seconds for one in again if not (told and one.by_others)]
     return {
@@ -55,7 +54,7 @@ def row_of(case: Case, draw: Draw) -> Row:
         "again_s": [one.seconds for one in again if one.by_others] if told else alone_s,
         "again_any_side_s": [one.seconds for one in losses(draw, any_side=True) if one.by_others or not told],
         "again_alone_s": alone_s,
-        "least_m": draw.least_m if case.robots > 1 else None,
+        "least_m": draw.least_m,
     }
 
 
@@ -89,11 +88,11 @@ def _again(draw: Draw, k: int, since: int, seen_s: float | None) -> Again:
     return Again(t_s, seconds, bool(others.any()))
 
 
-def figures_of(dives: Sequence[Row]) -> dict[str, float | None]:
+def figures_of(dives: Sequence[Row]) -> dict[str, Value]:
     """Of all dives of one case at one speed. Frames of one dive are much alike: a share of them is known as well as
-    seeds tell, and is no Share. A fleet that never loses the target has it again at once."""
+    seeds tell, and is no Share. Where no robot lost the target there is no time to tell: NaN."""
     total = {key: sum(row[key] for row in dives) for key in SUMS}
-    found: dict[str, float | None] = {
+    found: dict[str, Value] = {
         "by_one": 1e2 * total["by_one"] / total["frames"],
         "by_two": 1e2 * total["by_two"] / total["frames"],
         "each": 1e2 * total["seen"] / total["open_eyes"],
@@ -103,9 +102,9 @@ def figures_of(dives: Sequence[Row]) -> dict[str, float | None]:
     }
     for key in ("again_s", "again_any_side_s", "again_alone_s"):
         times_s = [seconds for row in dives for seconds in row[key]]
-        found[key] = percentile(times_s, 95.0) if times_s else 0.0
-    least_m = [row["least_m"] for row in dives if row["least_m"] is not None]
-    return found | ({"least_m": min(least_m)} if least_m else {})
+        found[key] = percentile(times_s, 95.0) if times_s else math.nan
+    least_m = [row["least_m"] for row in dives]
+    return found | {"least_m": min(least_m), "keep": Share(sum(m >= RINGS_M for m in least_m), len(least_m))}
 
 
 SUMS = ("frames", "by_one", "by_two", "open_eyes", "seen", "error_m2", "errors", "beliefs", "nees", "nees_of")
@@ -116,15 +115,9 @@ SPEEDS_M_S = (0.10, 0.15, 0.20)  # of the target
 LOST = 0.3  # of all words, where some are lost
 
 CASES = {
-    "share-1": Case("share", 1),
-    "share-2": Case("share", 2),
-    "share-2-loss30": Case("share", 2, LOST),
-    "share-3": Case("share", 3),
-    "share-3-loss30": Case("share", 3, LOST),
-    "share-5": Case("share", 5),
-    "share-5-loss30": Case("share", 5, LOST),
-    "silent-3": Case("silent", 3),
-    "moored-3": Case("moored", 3),
+    "share-3": Case(),
+    "share-3-loss30": Case(LOST),
+    "silent-3": Case(silent=True),
 }
 TARGETS = ("share-3", "share-3-loss30")  # cases that have any
 
@@ -146,15 +139,15 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
 
 def summary(rows: Rows) -> dict[str, Value]:
     """Keys are case, speed and figure; `cost` is the error where words are lost, of that where none are."""
-    found: dict[tuple[str, float], dict[str, float | None]] = {}
+    found: dict[tuple[str, float], dict[str, Value]] = {}
     for case, dives in rows.items():
         for speed_m_s in {row["speed_m_s"] for row in dives}:
             found[case, speed_m_s] = figures_of([row for row in dives if row["speed_m_s"] == speed_m_s])
-    for (case, speed_m_s), of_case in found.items():
-        free = found.get((case.removesuffix("-loss30"), speed_m_s), of_case)
-        if free is not of_case:
-            lossy_mm, free_mm = of_case["rms_mm"], free["rms_mm"]
-            of_case["cost"] = None if lossy_mm is None or free_mm is None else lossy_mm / free_mm
+    for speed_m_s in SPEEDS_M_S:
+        if all((case, speed_m_s) in found for case in TARGETS):
+            free_mm, lossy_mm = (found[case, speed_m_s]["rms_mm"] for case in TARGETS)
+            cost = lossy_mm / free_mm if isinstance(lossy_mm, float) and isinstance(free_mm, float) else None
+            found[TARGETS[1], speed_m_s]["cost"] = cost
     return {
         f"{case}_{speed_m_s:.2f}_{key}": value
         for (case, speed_m_s), of_case in found.items()
@@ -162,40 +155,31 @@ def summary(rows: Rows) -> dict[str, Value]:
     }
 
 
-def _figures() -> list[Figure]:
-    """Of each case at each speed; three that share have the targets."""
-    count = {1: "one", 2: "two", 3: "three", 5: "five"}
-    found = []
-    for name, case in CASES.items():
-        who = f"{count[case.robots]} {case.policy}" + (f", {100 * LOST:.0f} % of words lost" if case.loss else "")
-        for speed_m_s in SPEEDS_M_S:
-            for figure in _told(name, case):
-                key, words = f"{name}_{speed_m_s:.2f}_{figure.key}", f"{who}, {speed_m_s:.2f} m/s: {figure.words}"
-                found.append(figure._replace(key=key, words=words))
-    return found
+JUDGED = (
+    Figure("by_one", "one or more see it", "%", least=99.0),
+    Figure("by_two", "two or more see it", "%", least=95.0),
+    Figure("each", "each sees it", "%", least=88.0),
+    Figure("known", "each knows where it is", "%"),
+    Figure("rms_mm", "where they believe it to be is off, rms", "mm", most=25.0),
+    Figure("nees", "its error as it says: NEES", "", least=2.5, most=3.5),
+    Figure("again_s", "lost, and seen again while others see it, 95 %", "s", most=0.3),
+    Figure("again_alone_s", "lost, and seen again while nobody sees it, 95 %", "s", most=1.0),
+    Figure("again_any_side_s", "the same while others see it, also where the body has to turn first", "s"),
+    Figure("least_m", "least distance of any two robots", "m"),
+    Figure("keep", "no two nearer than 0.34 m, share of dives", "%", least=95.0),
+)
 
 
-def _told(name: str, case: Case) -> list[Figure]:
-    figures = [
-        Figure("by_one", "one or more see it", "%", least=99.0),
-        Figure("by_two", "two or more see it", "%", least=95.0),
-        Figure("each", "each sees it", "%", least=88.0),
-        Figure("known", "each knows where it is", "%"),
-        Figure("rms_mm", "where they believe it to be is off, rms", "mm", most=25.0),
-        Figure("nees", "its error as it says: NEES", "", least=2.5, most=3.5),
-        Figure("again_s", "lost, and seen again while others see it, 95 %", "s", most=0.3),
-        Figure("again_alone_s", "lost, and seen again while nobody sees it, 95 %", "s", most=1.0),
-        Figure("again_any_side_s", "the same while others see it, also where the body has to turn first", "s"),
-        Figure("least_m", "least distance of any two robots", "m"),
-    ]
-    if name == "share-3":
-        return figures
-    bare = [figure._replace(least=None, most=None) for figure in figures]
-    if case.loss:
-        most = 1.10 if name in TARGETS else None
-        bare.insert(0, Figure("cost", "error, of that where no words are lost", "x", most=most))
-    few = ("by_two", "again_any_side_s", "least_m") if case.robots == 1 else ()
-    return [figure for figure in bare if figure.key not in few]
+def _figures(name: str, case: Case) -> Iterator[Figure]:
+    """At each speed; three that share have the targets."""
+    lost = f", {100 * LOST:.0f} % of words lost" if case.loss else ""
+    who = ("three silent" if case.silent else "three share") + lost
+    cost = Figure("cost", "error, of that where no words are lost", "x", most=1.10)
+    bare = [cost] * (case.loss > 0.0) + [figure._replace(least=None, most=None) for figure in JUDGED]
+    for speed_m_s in SPEEDS_M_S:
+        for figure in JUDGED if name == TARGETS[0] else bare:
+            at = f"{speed_m_s:.2f}"
+            yield figure._replace(key=f"{name}_{at}_{figure.key}", words=f"{who}, {at} m/s: {figure.words}")
 
 
 CLAIM = Claim(
@@ -206,10 +190,10 @@ CLAIM = Claim(
     by_default=TARGETS,
     quick={"speed_m_s": 0.15, "watch_s": 5.0},
     measured_on="twin",
-    figures=tuple(_figures()),
+    figures=tuple(figure for name, case in CASES.items() for figure in _figures(name, case)),
     explanation="""Robots search a basin with weeds for a fish, find it in their own drawn frames as bearings, and
         follow it; for some seconds one camera is covered. Robots that share tell each other what they see, the silent
-        say only where they are themselves, and the moored cannot swim. A robot that lost the fish is asked for it from
+        say only where they are themselves. A robot that lost the fish is asked for it from
         when it is in sight again; NEES is the error squared in units of the stated covariance, 3 where it is
-        honest.""",
+        honest. The thruster rings of two robots touch at 0.34 m.""",
 )

@@ -8,21 +8,20 @@ seconds: it sees neither target nor tags.
 from __future__ import annotations
 
 import math
-from typing import Any, Literal, NamedTuple
+from collections.abc import Sequence
+from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.capabilities.swim.pursuit import carried_on
-from agent.capabilities.swim.swim import swimmer_of
-from agent.core.config import Body, Fleet, Follow, Limits, Look, Navigation, Pose, Target
+from agent.core.config import Body, Fleet, Follow, Look, Pose, Target
 from agent.core.estimation.protocols import dynamics
+from agent.core.linear_algebra import difference, distance2, wrap
 from agent.core.messages import Estimate, Message, Vector
 from agent.core.ranging.camera_model import CameraFit, camera_pose, look_at, pixel
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.basin import twin_bodies
-from agent.experiments.navigation.pursuit import Wanderer
+from agent.experiments.navigation.basin import START_NS, TANK, twin_bodies
 from agent.experiments.navigation.swimmers import (
     BALL_FARTHEST_M,
     FRAME_STEPS,
@@ -43,72 +42,105 @@ from hw.twin.scene import Creature, generator
 
 LENGTH_M = 0.15  # of the fish
 
-Policy = Literal["share", "silent", "moored"]
+ROBOTS = 3
 
 
 class Case(NamedTuple):
-    """Which fleet follows the target, and how its robots talk.
+    """How the robots of a fleet talk."""
 
-    share: all say what they see; silent: no robot says anything of the target, each says where it is itself; moored:
-    they share, and stay where they are put.
-    """
-
-    policy: Policy
-    robots: int
     loss: float = 0.0  # share of all words
+    silent: bool = False  # no robot says anything of the target, each says where it is itself
 
 
 # --- basin: the fleet, where it begins, and weeds that hide its target ---
 
 STANDOFF_M = 0.7
-STILL = Limits(speed_m_s=0.001, turn_deg_s=0.1)  # of what is moored
 WEEDS, WEED_M, WALL_M, APART_M = 2, 0.08, 0.5, 0.8  # how many, their radius; from walls, and from each other
-ROW_M = 0.45, 1.55  # from the long wall at which all begin
 
 
-def fleet_of(case: Case, speed_m_s: float, seed: int) -> Fleet:
+def fleet_of(speed_m_s: float, seed: int) -> Fleet:
     """All of them know how fast the target swims, and how long it is."""
-    names = [f"r{i + 1}" for i in range(case.robots)]
-    robots = {
-        name: basin.robot(
-            name,
-            pose,
-            Follow(target="ball", standoff_m=STANDOFF_M, search=True),
-            Look(tilt_deg=-10.0),
-            tuple(other for other in names if other != name),
-        )
-        for name, pose in zip(names, starts(case, seed), strict=True)
-    }
     fish = Target(detector="creature", length_m=LENGTH_M, speed_m_s=speed_m_s, turn_s=basin.TURN_S)
-    fleet = basin.fleet(robots, seed, fish)
-    return msgspec.structs.replace(fleet, navigation=Navigation(limits=STILL)) if case.policy == "moored" else fleet
+    does = [Follow(target="ball", standoff_m=STANDOFF_M, search=True)] * ROBOTS
+    return basin.linked(starts(seed), seed, Look(tilt_deg=-10.0), does, fish)
 
 
-def starts(case: Case, seed: int) -> list[Pose]:
-    """All on one side, half a metre apart; what is moored looks inwards from all around."""
-    if case.policy == "moored":
-        return [
-            Pose(x_m=0.45, y_m=0.45, yaw_deg=35.0),
-            Pose(x_m=2.55, y_m=0.45, yaw_deg=145.0),
-            Pose(x_m=1.5, y_m=1.55, yaw_deg=-90.0),
-        ][: case.robots]
+def starts(seed: int) -> list[Pose]:
+    """All on one side, half a metre apart."""
     near = float(generator(seed, "follow").uniform(-math.pi, math.pi)) > 0.0
-    pitch_m = 0.55 if case.robots <= 3 else 0.45
     return [
-        Pose(x_m=0.6 + k * pitch_m if near else 2.4 - k * pitch_m, y_m=ROW_M[0] if near else ROW_M[1], yaw_deg=yaw)
-        for k, yaw in enumerate([90.0 if near else -90.0] * case.robots)
+        Pose(x_m=0.6 + k * 0.55, y_m=0.45, yaw_deg=90.0) if near else Pose(x_m=2.4 - k * 0.55, y_m=1.55, yaw_deg=-90.0)
+        for k in range(ROBOTS)
     ]
 
 
 def weeds(seed: int) -> tuple[Pillar, ...]:
     """Upright from floor to surface. What is behind one is hidden; they stop no robot."""
     rng, found = generator(seed, "weeds"), list[Pillar]()
-    length_m, breadth_m, _ = basin.TANK.size_m
+    length_m, breadth_m, _ = TANK.size_m
     while len(found) < WEEDS:
         x, y = rng.uniform((WALL_M, WALL_M), (length_m - WALL_M, breadth_m - WALL_M)).tolist()
         if all(np.hypot(x - other.x_m, y - other.y_m) > APART_M for other in found):
             found.append(Pillar(x, y, WEED_M))
     return tuple(found)
+
+
+# --- the target's way: it wanders about the basin at one speed, as a fish does ---
+# Its turning is an Ornstein-Uhlenbeck process; near a wall it turns towards the middle. It does not shy away from
+# robots.
+
+TURNS_S, TURNS_RAD_S = 1.5, 1.2  # how long its turning is alike, and how fast it is (rms over a root second)
+SHY_M, AWAY_RAD_S = 0.45, 1.5  # from a wall, and how fast it turns away there
+NEAREST_WALL_M = 0.25  # it comes no nearer to one
+BEFORE_M, BODY_M = 0.3, 0.08  # from a pillar: there it turns aside, and it comes no nearer
+HEIGHT_M = 0.25  # above the floor
+STEP_S = 0.05
+
+
+class Wanderer:
+    """Its path, drawn once; `at` is where it is, x, y and z (m), and holds still outside the time that was drawn."""
+
+    def __init__(
+        self, rng: np.random.Generator, speed_m_s: float, seconds: float, pillars: Sequence[Pillar] = ()
+    ) -> None:
+        x, y = (float(rng.uniform(0.8, side - 0.8)) for side in TANK.size_m[:2])
+        heading, rate, rows = float(rng.uniform(-math.pi, math.pi)), 0.0, []
+        keeps = math.exp(-STEP_S / TURNS_S)
+        for _ in range(round(seconds / STEP_S) + 1):
+            rows.append((x, y, HEIGHT_M))
+            rate = keeps * rate + TURNS_RAD_S * math.sqrt(STEP_S) * float(rng.normal())
+            inwards = wrap(math.atan2(0.5 * TANK.size_m[1] - y, 0.5 * TANK.size_m[0] - x) - heading)
+            near = min(x, y, TANK.size_m[0] - x, TANK.size_m[1] - y) < SHY_M
+            turn = math.copysign(AWAY_RAD_S, inwards) if near and abs(inwards) > 0.5 else rate
+            heading += STEP_S * (turn + sum(_aside(pillar, x, y, heading) for pillar in pillars))
+            x, y = (
+                min(max(at + STEP_S * speed_m_s * way, NEAREST_WALL_M), side - NEAREST_WALL_M)
+                for at, way, side in zip((x, y), (math.cos(heading), math.sin(heading)), TANK.size_m, strict=False)
+            )
+            for pillar in pillars:
+                x, y = _outside(pillar, x, y)
+        self._rows: list[Vector] = rows
+
+    def at(self, now_ns: int) -> Vector:
+        k = round((now_ns - START_NS) * 1e-9 / STEP_S)
+        return self._rows[min(max(k, 0), len(self._rows) - 1)]
+
+
+def _aside(pillar: Pillar, x: float, y: float, heading: float) -> float:
+    """How fast it turns away from one that it swims at, rad/s."""
+    east, north = pillar.x_m - x, pillar.y_m - y
+    off = wrap(math.atan2(north, east) - heading)
+    near = math.hypot(east, north) < pillar.radius_m + BEFORE_M and abs(off) < 1.2
+    return math.copysign(2.0 * AWAY_RAD_S, -off) if near else 0.0
+
+
+def _outside(pillar: Pillar, x: float, y: float) -> tuple[float, float]:
+    """Beside it, where that place is inside."""
+    east, north = x - pillar.x_m, y - pillar.y_m
+    off, least = math.hypot(east, north), pillar.radius_m + BODY_M
+    if off >= least or off == 0.0:
+        return x, y
+    return pillar.x_m + east * least / off, pillar.y_m + north * least / off
 
 
 # --- drawn fish ---
@@ -206,11 +238,11 @@ class Draw(NamedTuple):
 
 def dive(case: Case, speed_m_s: float, seed: int, watch_s: float = WATCH_S) -> Draw:
     """Search for FIND_S, then follow for watch_s; at 10 frames a second. Raises Failed where a firmware hangs."""
-    fleet, pillars = fleet_of(case, speed_m_s, seed), weeds(seed)
+    fleet, pillars = fleet_of(speed_m_s, seed), weeds(seed)
     names, rng = list(fleet.robot), generator(seed, "follow")
     rng.uniform()  # drawn for where they begin
     wanderer = Wanderer(rng, speed_m_s, FIND_S + watch_s, pillars)
-    blind = names[seed % case.robots]
+    blind = names[seed % ROBOTS]
     with twin_bodies(fleet) as bodies:
         swimmers = Swimmers(fleet, bodies)
         swimmers.lost = Channel(case, seed).loses
@@ -245,8 +277,7 @@ def row(swimmers: Swimmers, fleet: Fleet, target_m: Vector, pillars: tuple[Pilla
         reach = reaches(fleet.body, place, target_m)
         flags = newest is not None and newest.found, near and clear and not eyes.covered, reach, eyes.covered
         believed = judged(agent, fleet, target_m, swimmers.now_ns)
-        swimmer = swimmer_of(agent.capabilities)
-        found.append(np.array([*flags, swimmer is not None and swimmer.at_landmarks, *believed], float))
+        found.append(np.array([*flags, swimmers.swimmer(name).at_landmarks, *believed], float))
     return found
 
 
@@ -265,13 +296,9 @@ def judged(agent: Agent, fleet: Fleet, target_m: Vector, now_ns: int) -> tuple[f
     believed = agent.targets["ball"].estimator.posterior
     if believed is None:
         return np.nan, np.nan
-    off = np.array(carried_on(believed, dynamics(fleet.target["ball"]), now_ns)) - target_m
-    if now_ns - believed.t_ns > FRESH_NS:
-        return float(np.linalg.norm(off)), np.nan
-    xx, xy, xz, yy, yz, zz = believed.cov_m2
-    return float(np.linalg.norm(off)), float(
-        off @ np.linalg.solve(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), off)
-    )
+    off = difference(carried_on(believed, dynamics(fleet.target["ball"]), now_ns), target_m)
+    fresh = now_ns - believed.t_ns <= FRESH_NS
+    return math.hypot(*off), distance2(believed.cov_m2, off) if fresh else np.nan
 
 
 class Channel:
@@ -279,7 +306,7 @@ class Channel:
 
     def __init__(self, case: Case, seed: int) -> None:
         self._rng, self._loss = generator(seed, "loss"), case.loss
-        self._silent = case.policy == "silent"
+        self._silent = case.silent
 
     def loses(self, letter: Message) -> bool:
         return (self._silent and isinstance(letter, Estimate)) or bool(self._loss and self._rng.uniform() < self._loss)

@@ -1,5 +1,5 @@
-"""What robots gain that light for each other: own lamp, all lamps, one set for all, the rule, and the optimum of the
-rule's own score, compared by sweeps that the twin draws in the dark.
+"""What robots gain that light for each other: own lamp, the rule, and the optimum of the rule's own score, compared by
+sweeps that the twin draws in the dark.
 
 A range is usable where at least half of the sweeps have a peak and their standard deviation is below 60 mm. That is the
 sensor's noise alone: what texture does to a peak comes on top, and is the same for all.
@@ -8,9 +8,8 @@ sensor's noise alone: what texture does to a peak comes on top, and is the same 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from itertools import combinations
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -25,7 +24,7 @@ from agent.experiments.dark_water import WATERS, DarkWater, Stand, Swept, lamp_p
 Names = frozenset[str]
 Score = Callable[[str, Names], Worth]  # of a sweeper and the lamps that burn
 
-POLICIES = ("own", "all", "common", "rule", "optimum")
+POLICIES = ("own", "rule", "optimum")
 
 
 def scored(sea: DarkWater, stands: Mapping[str, Stand]) -> Score:
@@ -49,8 +48,6 @@ def sets_for(policy: str, sea: DarkWater, stands: Mapping[str, Stand], score: Sc
     """Whose lamps burn while each robot sweeps."""
     if policy == "own":
         return {name: frozenset((name,)) for name in stands}
-    if policy == "all":
-        return {name: frozenset(stands) for name in stands}
     if policy == "rule":
         lamps = lamps_of(stands)
         return {
@@ -58,24 +55,7 @@ def sets_for(policy: str, sea: DarkWater, stands: Mapping[str, Stand], score: Sc
             for name, one in stands.items()
         }
     sets = [frozenset(c) for k in range(1, len(stands) + 1) for c in combinations(sorted(stands), k)]
-    if policy == "optimum":
-        return {name: max(sets, key=lambda burning, name=name: score(name, burning).log_j) for name in stands}  # type: ignore[misc]
-
-    def for_all(burning: Names) -> tuple[int, float]:
-        """How many it serves, and how well on the whole."""
-        each = [score(name, burning) for name in stands]
-        return sum(one.usable for one in each), sum(one.log_j for one in each)
-
-    return dict.fromkeys(stands, max(sets, key=for_all))
-
-
-def after_loss(name: str, wanted: Names, loss: float, rng: np.random.Generator) -> Names:
-    """The lamps that burn when messages get lost: a lender without its lease stays dark, and a sweeper that hears of
-    none takes its own lamp, whichever lamps burn beside it."""
-    reached = {robot for robot in sorted(wanted - {name}) if rng.random() >= loss}
-    answered = {robot for robot in sorted(reached) if rng.random() >= loss}
-    own = {name} if name in wanted or (wanted != {name} and not answered) else set()
-    return frozenset(reached | own)
+    return {name: max(sets, key=lambda burning, name=name: score(name, burning).log_j) for name in stands}  # type: ignore[misc]
 
 
 class Sweeps:
@@ -142,7 +122,6 @@ def ratio(rule_mm: float | None, own_mm: float | None) -> float | None:
 
 NEAR_M, FAR_M, APART_DEG = 0.6, 1.8, 35.0  # around the ball
 SIZES = (2, 3, 5)
-LOSS = 0.3
 
 
 def draw_fleet(robots: int, rng: np.random.Generator) -> dict[str, Stand]:
@@ -155,16 +134,10 @@ def draw_fleet(robots: int, rng: np.random.Generator) -> dict[str, Stand]:
     return {f"r{k + 1}": stand(float(rng.uniform(NEAR_M, FAR_M)), azimuth) for k, azimuth in enumerate(azimuths)}
 
 
-def usable(sweeps: Sweeps, rng: np.random.Generator) -> dict[str, int]:
-    """Robots of a fleet that have a usable range, by policy; `lossy`: by the rule, some messages lost."""
-
-    def count(sets: Mapping[str, Names]) -> int:
-        swept = [sweeps.of(name, burning) for name, burning in sets.items()]
-        return sum(one.sigma_mm is not None and one.sigma_mm < WORST_MM for one in swept)
-
-    sets = {policy: sweeps.by(policy) for policy in POLICIES}
-    sets["lossy"] = {name: after_loss(name, wanted, LOSS, rng) for name, wanted in sets["rule"].items()}
-    return {policy: count(chosen) for policy, chosen in sets.items()}
+def usable(sweeps: Sweeps, policy: str) -> int:
+    """Robots of a fleet that have a usable range."""
+    swept = [sweeps.of(name, burning) for name, burning in sweeps.by(policy).items()]
+    return sum(one.sigma_mm is not None and one.sigma_mm < WORST_MM for one in swept)
 
 
 # --- the claim ---
@@ -186,11 +159,11 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
     row, logs = on_ladder(sea, 2 * settings.draws)
     counts: dict[str, dict[str, int]] = {}
     for robots in SIZES:
-        total = dict.fromkeys((*POLICIES, "lossy"), 0)
+        total = dict.fromkeys(POLICIES, 0)
         for scene in range(settings.scenes):
             rng = np.random.default_rng((seed, robots, scene, 22))
             sweeps = Sweeps(sea, draw_fleet(robots, rng), settings.draws, 10_000 * (scene + 1))
-            total = {policy: total[policy] + count for policy, count in usable(sweeps, rng).items()}
+            total = {policy: count + usable(sweeps, policy) for policy, count in total.items()}
             logs += sweeps.logs()
         counts[str(robots)] = {**total, "of": robots * settings.scenes}
     row["times_own"] = ratio(row["rule_mm"], row["own_mm"])
@@ -205,7 +178,7 @@ def summary(rows: Rows) -> dict[str, Value]:
             found[f"{water}_{key}"] = Quantile([world[key] for world in worlds], 50.0)
         total = {size: total_of([world["usable"][size] for world in worlds]) for size in worlds[0]["usable"]}
         five = total[str(max(SIZES))]
-        for policy in (*POLICIES, "lossy"):
+        for policy in ("own", "rule"):
             found[f"{water}_{policy}_usable"] = Share(five[policy], five["of"])
         found[f"{water}_below"] = 100.0 * (five["optimum"] - five["rule"]) / five["of"]
         found[f"{water}_gain"] = min(100.0 * (each["rule"] - each["own"]) / each["of"] for each in total.values())
@@ -222,30 +195,24 @@ def correlation(logs: Sequence[Sequence[float]]) -> float | None:
     return float(np.corrcoef(np.array(logs).T)[0, 1]) if len(logs) >= LEAST_PAIRS else None
 
 
-class Bars(NamedTuple):
-    """Targets of one water."""
+JUDGED = (
+    Figure("own_mm", f"{AT_M} m: sigma of the range by the own lamp, median", "mm"),
+    Figure("rule_mm", "by the rule, median", "mm"),
+    Figure("times_own", "the one over the other, median", most=0.25),
+    Figure("farther", "farthest range over that by the own lamp, median", least=1.5),
+    Figure("rule_usable", "five robots: have a usable range by the rule", "%", least=75.0),
+    Figure("below", "so many fewer than by the optimum", "points", most=5.0),
+    Figure("own_usable", "by own lamps", "%"),
+    Figure("gain", "two, three or five robots: more than by own lamps, the least", "points", least=0.0),
+    Figure("correlation", "log J, as expected, with log sigma, as measured", most=-0.85),
+)
+EVERYWHERE = ("gain", "correlation")  # figures whose targets hold in all waters; the others' in the harbour
 
-    times_own: float | None = None
-    farther: float | None = None
-    usable: float | None = None
-    below: float | None = None
 
-
-def figures(water: str, bars: Bars) -> tuple[Figure, ...]:
-    return (
-        Figure(f"{water}_own_mm", f"{water}, {AT_M} m: sigma of the range by the own lamp, median", "mm"),
-        Figure(f"{water}_rule_mm", "by the rule, median", "mm"),
-        Figure(f"{water}_times_own", "the one over the other, median", "", most=bars.times_own),
-        Figure(f"{water}_farther", "farthest range over that by the own lamp, median", "", least=bars.farther),
-        Figure(f"{water}_rule_usable", "five robots: have a usable range by the rule", "%", least=bars.usable),
-        Figure(f"{water}_below", "so many fewer than by the optimum", "points", most=bars.below),
-        Figure(f"{water}_own_usable", "by own lamps", "%"),
-        Figure(f"{water}_all_usable", "all lamps on", "%"),
-        Figure(f"{water}_common_usable", "one set for all", "%"),
-        Figure(f"{water}_lossy_usable", f"by the rule, {100 * LOSS:.0f} % of messages lost", "%"),
-        Figure(f"{water}_gain", "two, three or five robots: more than by own lamps, the least", "points", least=0.0),
-        Figure(f"{water}_correlation", "log J, as expected, with log sigma, as measured", "", most=-0.85),
-    )
+def figures(water: str) -> Iterator[Figure]:
+    for figure in JUDGED:
+        bare = figure if water == "harbour" or figure.key in EVERYWHERE else figure._replace(least=None, most=None)
+        yield bare._replace(key=f"{water}_{figure.key}", words=f"{water}: {figure.words}")
 
 
 CLAIM = Claim(
@@ -255,11 +222,7 @@ CLAIM = Claim(
     quick={"draws": 3},
     cases=tuple(WATERS),
     measured_on="twin",
-    figures=(
-        *figures("harbour", Bars(times_own=0.25, farther=1.5, usable=75.0, below=5.0)),
-        *figures("bay", Bars()),
-        *figures("coastal", Bars()),
-    ),
+    figures=tuple(figure for water in ("harbour", "bay", "coastal") for figure in figures(water)),
     explanation="""A robot sweeps its focus over a ball in the dark, by the lamps that a policy has burn, again and
         again: its sigma is that of the sensor's noise alone. Two neighbours stand 0.6 m from the ball, or fleets of
         two, three and five at random places sweep in their turn. The rule lends lamps by a model of light and veil;

@@ -16,10 +16,9 @@ from numpy.typing import NDArray
 
 from agent.core.config import Fleet, Pose, Robot, Target, Twin
 from agent.core.step_io import SetPoint
-from agent.experiments.ball_measurements import Host
+from agent.experiments.ball_measurements import Host, hosts_of
 from agent.experiments.claim import Claim, Figure, NoSettings, Quantile, Row, Rows, Share, Value, rms
-from agent.process.command import Failed, temporary_folder
-from hw.twin.board import Board, interpreter
+from agent.process.command import Failed
 from hw.twin.dive import Dive, run_in_lock_step
 from hw.twin.physics.body import euler_rad
 from hw.twin.physics.sensors import CORNERS, LATE_SAMPLES
@@ -102,9 +101,7 @@ def score_step(track: Track, start_m: float, goal_m: float) -> Row:
 
 
 # --- manoeuvre: a robot in the twin's tank, with its own firmware process ---
-# Virtual time in lock-step: water, sensors and firmware take turns, however fast the machine is. The host's half is
-# the driver's own (hw.stm32.protocol) on the robot's real pty. The kernel hands a pty's bytes over in its own time,
-# nearly always within the same tick: on a machine that is very busy a figure may differ by 0.02 s.
+# Virtual time in lock-step: water, sensors, firmware and host take turns, however fast the machine is.
 
 LOWEST_M = 0.41  # 1 cm between hull and floor; the tether is paid out for it
 
@@ -131,17 +128,11 @@ def respond(law: str, plant: Plant, manoeuvre: Manoeuvre, seed: int) -> Track:
     fleet = tank(seed)
     dive = Dive(fleet, ["r1"], 0, plants={"r1": plant})
     dive.states["position_m"][:, 2] = fleet.tank.surface_m - manoeuvre.start_m
-    with temporary_folder() as folder:
-        board = Board("r1", folder, dive.tare_pa[0], interpreter=interpreter(), settings={"law": law})
-        dive.boards = [board]
+    with hosts_of(dive, {"law": law}) as hosts:
         try:
-            board.start()
-            with Host(board) as host:
-                return carry_out(dive, host, manoeuvre, fleet.tank.surface_m, CORNERS[seed % len(CORNERS)])
+            return carry_out(dive, hosts["r1"], manoeuvre, fleet.tank.surface_m, CORNERS[seed % len(CORNERS)])
         except TimeoutError as error:
             raise Failed(str(error)) from None
-        finally:
-            board.close()
 
 
 def carry_out(dive: Dive, host: Host, manoeuvre: Manoeuvre, surface_m: float, corner: NDArray[np.float64]) -> Track:

@@ -80,10 +80,15 @@ class StillCamera:
         return self._painter.depth(self._eye(), self.lens.at_position_m(lens_position))
 
     def _eye(self) -> Eye:
-        yaw, tilt = math.radians(self.view.yaw_deg), math.radians(self.view.tilt_deg)
-        ahead = np.array([math.cos(yaw) * math.cos(tilt), math.sin(yaw) * math.cos(tilt), math.sin(tilt)])
-        right = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
-        return Eye(self.view.position_m, np.stack([right, np.cross(ahead, right), ahead], axis=1))
+        return Eye(self.view.position_m, rotation_of_view(self.view.yaw_deg, self.view.tilt_deg))
+
+
+def rotation_of_view(yaw_deg: float, tilt_deg: float) -> Array:
+    """(3, 3) camera (right, down, ahead) to world."""
+    yaw, tilt = math.radians(yaw_deg), math.radians(tilt_deg)
+    ahead = np.array([math.cos(yaw) * math.cos(tilt), math.sin(yaw) * math.cos(tilt), math.sin(tilt)])
+    right = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
+    return np.stack([right, np.cross(ahead, right), ahead], axis=1)
 
 
 # --- sweeps ---

@@ -21,7 +21,7 @@ import termios
 import tty
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, Any, NamedTuple, Protocol
 
 import numpy as np
 from msgspec import Meta, structs
@@ -56,7 +56,7 @@ class Board:
     """A control module between its cable and its bus. Nothing happens before start(); time is the clock of `tick`.
 
     `settings` go to the flash beside the tare, for example {"law": "pid"}. `times`: what a cycle takes on this board;
-    without it what it is estimated to take.
+    without it what it is estimated to take. `cable`: what joins it to its agent; without it a serial port.
     """
 
     def __init__(
@@ -68,6 +68,7 @@ class Board:
         interpreter: str = sys.executable,
         settings: Mapping[str, Any] | None = None,
         times: CycleTimes | None = None,
+        cable: Carrier | None = None,
     ) -> None:
         self.robot = robot
         self.port = folder / f"{robot}.serial"
@@ -77,7 +78,7 @@ class Board:
         self._command = [interpreter, str(firmware)]
         self._times = read_table().times if times is None else times
         self._percent = 100
-        self._cable = Cable(self.port)
+        self._cable = cable or Cable(self.port)
         self._said: list[tuple[int, bytes]] = []  # when a cycle is over, and what it wrote to the UART
         self._boot: Boot | None = None
         self._clock_us = 0
@@ -421,6 +422,22 @@ def boot(command: Sequence[str], flash: Path, log: Path, cause: int, times: Cycl
 
 
 # --- serial cable ---
+
+
+class Carrier(Protocol):
+    """What a board needs of a cable. Bytes for an end that is not there are lost."""
+
+    def plug(self) -> None: ...
+    def unplug(self) -> None: ...
+
+    def receive(self) -> bytes:
+        """What the agent wrote since the last call."""
+
+    def unread(self) -> int:
+        """Bytes that the agent's end has not been read of."""
+
+    def send(self, data: bytes) -> None:
+        """Write to the agent."""
 
 
 class Cable:

@@ -1,8 +1,4 @@
-"""Is a measurement as far from the truth as its covariance says, and how far is that, by focus, by size and by both?
-
-The normalised error squared e^T C^-1 e has the mean 3 where the covariance is honest, is larger where it boasts,
-smaller where it is timid. Each robot is a world of its own, and measures its ball from many places with every cue.
-"""
+"""Is a measurement as far from the truth as its covariance says, and how far is that, by focus, by size and by both?"""
 
 from __future__ import annotations
 

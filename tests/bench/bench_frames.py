@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from functools import partial
-from pathlib import Path
 
 import cv2
 import numpy as np
 
 from agent.core.config import Link
-from agent.core.ranging.focus import fit_peaks
 from agent.core.step_io import Sighting
 from agent.experiments.claim import Figure, Row
 from agent.perception.clarity import around, block_peaks, disc_clarity, grid, tenengrad_grid
@@ -36,34 +32,29 @@ WHOLE = Roi(0, 0, 640, 480)
 PREVIEW_HZ = Link().preview_hz
 
 
-# --- a ball, and how sharp it is ---
+def ball() -> Frame:
+    """Of 7 cm, 0.46 m away: a disc of 178 px."""
+    return Frame(0, 0, ball_frame((0.0, 0.0, 0.46)), WHOLE)
 
 
 def detection(times: int) -> Row:
+    """A frame to what a sighting says of it."""
     frame = ball()
     found = find_ball(frame.image, CAMERA)
     if found is None:
         raise Failed("the ball of this claim's own picture was not found")
     roi = around(found.centre_px, found.radius_px, (640, 480)) or WHOLE
     part = frame._replace(image=frame.image[roi.y : roi.y + roi.height, roi.x : roi.x + roi.width].copy(), roi=roi)
-    ways = {
-        "sum": lambda: frame.image.sum(),
-        "whole": lambda: see(frame),
-        "region": lambda: see(part) or see(frame),
-    }
-    row = medians_ms(ways, times)
+
+    def see(frame: Frame) -> None:
+        found = find_ball(frame.image, CAMERA, (frame.roi.x, frame.roi.y))
+        assert found is not None
+        disc_clarity(frame, found.centre_px, found.radius_px)
+
+    row = medians_ms(
+        {"sum": lambda: frame.image.sum(), "whole": lambda: see(frame), "region": lambda: see(part)}, times
+    )
     return {**row, "whole_hz": 1e3 / row["whole"], "region_hz": 1e3 / row["region"]}
-
-
-def see(frame: Frame) -> object:
-    """A frame to what a sighting says of it."""
-    found = find_ball(frame.image, CAMERA, (frame.roi.x, frame.roi.y))
-    return found and disc_clarity(frame, found.centre_px, found.radius_px)
-
-
-def ball() -> Frame:
-    """Of 7 cm, 0.46 m away: a disc of 178 px."""
-    return Frame(0, 0, ball_frame((0.0, 0.0, 0.46)), WHOLE)
 
 
 # --- a focus sweep ---
@@ -78,14 +69,10 @@ def sweep(times: int) -> Row:
     def clarity() -> np.ndarray:
         return np.array([tenengrad_grid(frame, rows, cols) for frame in stack])
 
-    def depths(fit: Callable[..., object]) -> object:
-        return fit(lens, clarity().reshape(len(stack), -1).T)
-
     ways = {
         "pass": lambda: pass_over(stack.reshape(-1)),
         "clarity": clarity,
-        "depths": lambda: depths(block_peaks),
-        "by_kernel": lambda: depths(fit_peaks),
+        "depths": lambda: block_peaks(lens, clarity().reshape(len(stack), -1).T),
         "sobel": lambda: [sobel_integral(frame) for frame in stack],
     }
     row = medians_ms(ways, times)
@@ -107,9 +94,6 @@ def sobel_integral(image: np.ndarray) -> np.ndarray:
     gx, gy = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
     total = cv2.integral(gx * gx + gy * gy)[0:451:50, 0:601:50]
     return np.diff(np.diff(total, axis=0), axis=1)
-
-
-# --- tags and flow ---
 
 
 def landmarks(times: int) -> Row:
@@ -137,21 +121,8 @@ def landmarks(times: int) -> Row:
     return medians_ms(ways, times)
 
 
-# --- enhancement ---
-
-
 def enhancement(times: int) -> Row:
-    """By weights that are drawn: they do not matter to what it takes."""
-    frame, ways = ball().image, enhancers()
-    colours = ways["fast"].estimate(frame)
-    works = {way: partial(enhancer.apply, frame) for way, enhancer in ways.items()}
-    works["known_colours"] = lambda: enhance.apply_colours(colours, frame)
-    works["classic"] = lambda: enhance.classic(frame)
-    return medians_ms(works, times)
-
-
-def enhancers() -> dict[str, enhance.Enhancer]:
-    """Raises Failed without torch."""
+    """By weights that are drawn: they do not matter to what it takes. Raises Failed without torch."""
     try:
         import torch
 
@@ -159,29 +130,13 @@ def enhancers() -> dict[str, enhance.Enhancer]:
     except ImportError:
         raise Failed("the network needs torch: pip install 'aucamp[enhance]'") from None
     torch.manual_seed(0)
-    net = LU2Net().eval().to(memory_format=torch.channels_last)
-    return {way: enhance.network_enhancer(net, way) for way in ("plain", "folded", "fast")}
-
-
-def memory(times: int) -> Row:
-    """MB of each way, on top of a process with torch."""
-    peaks = {}
-    for way in ("nothing", *enhancers()):
-        with ProcessPoolExecutor(1, multiprocessing.get_context("spawn")) as process:
-            peaks[way] = process.submit(peak_mb, way).result()
-    return {way: peak - peaks["nothing"] for way, peak in peaks.items()}
-
-
-def peak_mb(way: str) -> float:
-    """Largest resident size of this process after three frames."""
-    ways, frame = enhancers(), ball().image
-    for _ in range(3 if way in ways else 0):
-        ways[way].apply(frame)
-    status = Path("/proc/self/status").read_text(encoding="ascii")  # ru_maxrss would hold the parent's as well
-    return next(int(line.split()[1]) for line in status.splitlines() if line.startswith("VmHWM")) / 1024
-
-
-# --- previews ---
+    net, frame = LU2Net().eval().to(memory_format=torch.channels_last), ball().image
+    ways = {way: enhance.network_enhancer(net, way) for way in ("plain", "folded", "fast")}
+    colours = ways["fast"].estimate(frame)
+    works = {way: partial(enhancer.apply, frame) for way, enhancer in ways.items()}
+    works["known_colours"] = lambda: enhance.apply_colours(colours, frame)
+    works["classic"] = lambda: enhance.classic(frame)
+    return medians_ms(works, times)
 
 
 def preview(times: int) -> Row:
@@ -198,17 +153,9 @@ def preview(times: int) -> Row:
         now_ns += max(round(1e9 / PREVIEW_HZ), enhance.DUE_NS)  # the next preview and the next estimate are due
         assert preview.of(frame._replace(t_ns=now_ns), seen, now_ns) is not None
 
-    ways = {
-        "find": lambda: find_ball(frame.image, CAMERA),
-        "raw": lambda: made(raw),
-        "enhanced": lambda: made(enhanced),
-    }
-    row = medians_ms(ways, times)
+    row = medians_ms({"raw": lambda: made(raw), "enhanced": lambda: made(enhanced)}, times)
     assert enhancer.raw == 0
-    return {**row, **{f"{way}_core": 0.1 * PREVIEW_HZ * row[way] for way in ("raw", "enhanced")}}
-
-
-# --- a thing in a box ---
+    return {**row, **{f"{way}_core": 0.1 * PREVIEW_HZ * ms for way, ms in row.items()}}
 
 
 def track(times: int) -> Row:
@@ -227,15 +174,8 @@ def track(times: int) -> Row:
 
 # --- the claim ---
 
-CASES: dict[str, Callable[[int], Row]] = {
-    "detection": detection,
-    "sweep": sweep,
-    "landmarks": landmarks,
-    "enhancement": enhancement,
-    "memory": memory,
-    "preview": preview,
-    "track": track,
-}
+PARTS: tuple[Callable[[int], Row], ...] = (detection, sweep, landmarks, enhancement, preview, track)
+CASES = {part.__name__: part for part in PARTS}
 
 
 def run(seed: int, case: str, settings: Settings) -> list[Row]:
@@ -254,7 +194,6 @@ CLAIM = claim_of_costs(
         Figure("detection.region_hz", "regions of a frame that one core sees", "1/s", least=30.0),
         Figure("sweep.depths/pass", "30 frames to depths, against one pass over their bytes", "times", most=4.0),
         Figure("sweep.clarity/pass", "their clarity alone, against that pass", "times"),
-        Figure("sweep.by_kernel/pass", "depths by the kernel's peak fit, against that pass", "times"),
         Figure("sweep.sobel/clarity", "OpenCV's gradients and integral, against our clarity", "times"),
         Figure("sweep.frames_hz", "frames of a sweep that one core turns to depths", "1/s", least=30.0),
         Figure("landmarks.tags", "five tags found in a frame", "ms"),
@@ -267,11 +206,6 @@ CLAIM = claim_of_costs(
         Figure("enhancement.fast", "a frame enhanced fast", "ms", most=33.0),
         Figure("enhancement.known_colours/fast", "by colours estimated before, against fast", "times"),
         Figure("enhancement.classic/fast", "without a network, against fast", "times"),
-        Figure("memory.plain", "memory of plain, on top of torch", "MB"),
-        Figure("memory.folded/plain", "memory of folded, against plain", "times"),
-        Figure("memory.fast/plain", "memory of fast, against plain", "times"),
-        Figure("preview.raw/find", "a raw preview, against detection in the frame", "times"),
-        Figure("preview.enhanced/raw", "an enhanced preview, against a raw one", "times"),
         Figure("preview.raw_core", "two raw previews a second", "% of a core", most=100.0 * enhance.SHARE),
         Figure("preview.enhanced_core", "two enhanced previews a second", "% of a core", most=100.0 * enhance.SHARE),
         Figure("track.search", "one search of a whole picture for a lost thing", "ms", most=30.0),

@@ -34,7 +34,8 @@ MANY = 40  # signatures that are timed as one
 
 
 def agreement(neighbours: int, times: int) -> Row:
-    """Of each protocol, us of an iteration and bytes of a message; what a robot says is heard by all."""
+    """Of each protocol, us of an iteration and bytes of a message, of a robot in the middle of a star: it has as many
+    origins as neighbours, and itself."""
     row: Row = {}
     for protocol in PROTOCOLS:
         row[f"{protocol}_us"], row[f"{protocol}_bytes"] = iterated(protocol, neighbours, times)
@@ -42,17 +43,17 @@ def agreement(neighbours: int, times: int) -> Row:
 
 
 def iterated(protocol: str, neighbours: int, times: int) -> tuple[float, float]:
-    """(us, bytes) of a robot in the middle of a star, which has as many origins as neighbours, and itself."""
     names, random = [f"r{k}" for k in range(neighbours + 1)], Random(1)
     robots = {name: made(protocol, name, names) for name in names}
     me, *others = names
     box = EstimateCache("tank", me, "ball", tuple(others))
     boxes = {name: EstimateCache("tank", name, "ball", (me,)) for name in others}
-    took_us: list[float] = []
-    sizes: list[int] = []
+    took_us, sizes = list[float](), list[int]()
 
     def sent(src: str, dst: str) -> Estimate:
-        payload = encode(word(robots[src], src, dst, len(took_us), now_ns))
+        robot = robots[src]
+        about = {"seq": len(took_us), "sent_ns": now_ns, "t": robot.t, "valid": robot.valid}
+        payload = encode(estimate(src, dst, **about, **robot.say(dst, now_ns)._asdict()))
         sizes.append(len(payload))
         return decode(payload, Estimate)
 
@@ -79,11 +80,6 @@ def made(protocol: str, name: str, names: list[str]) -> Estimator:
     if protocol == "moving":
         robot.begin(Epoch(1, True, "r0"), 0)
     return robot
-
-
-def word(robot: Estimator, src: str, dst: str, seq: int, now_ns: int) -> Estimate:
-    about = robot.say(dst, now_ns)._asdict()
-    return estimate(src, dst, seq=seq, sent_ns=now_ns, t=robot.t, valid=robot.valid, **about)
 
 
 # --- signatures ---
@@ -116,31 +112,29 @@ def many(work: Callable[[], object]) -> None:
 
 # --- the claim ---
 
-NEIGHBOURS = {"neighbours-3": 3, "neighbours-10": 10, "neighbours-50": 50}
+NEIGHBOURS = {f"neighbours-{count}": count for count in (3, 10, 50)}
 
 
 def run(seed: int, case: str, settings: Settings) -> list[Row]:
     return [signatures(settings.times) if case == "signatures" else agreement(NEIGHBOURS[case], settings.times)]
 
 
-def of_agreement(case: str, neighbours: int) -> tuple[Figure, ...]:
-    """`paper` by itself, the others against it."""
-    who = f"{neighbours} neighbours"
-    return (
-        Figure(f"{case}.paper_us", f"{who}: an iteration by `paper`", "us", most=1e4),  # 1 % of its second
-        Figure(f"{case}.paper_bytes", f"{who}: its message", "bytes", most=1400.0),  # one datagram
-        Figure(f"{case}.evidence_us/paper_us", f"{who}: an iteration by evidence, against `paper`", "times"),
-        Figure(f"{case}.evidence_bytes/paper_bytes", f"{who}: its message, against that", "times"),
-        Figure(f"{case}.moving_us/paper_us", f"{who}: evidence of what moves, against `paper`", "times"),
-        Figure(f"{case}.moving_bytes/paper_bytes", f"{who}: its message, against that", "times"),
-    )
-
-
 CLAIM = claim_of_costs(
     run=run,
     cases=(*NEIGHBOURS, "signatures"),
     figures=(
-        *(figure for case, neighbours in NEIGHBOURS.items() for figure in of_agreement(case, neighbours)),
+        *(
+            figure
+            for case, who in ((case, case.replace("-", " ")) for case in NEIGHBOURS)
+            for figure in (
+                Figure(f"{case}.paper_us", f"{who}: an iteration by `paper`", "us", most=1e4),  # 1 % of its second
+                Figure(f"{case}.paper_bytes", f"{who}: its message", "bytes", most=1400.0),  # one datagram
+                Figure(f"{case}.evidence_us/paper_us", f"{who}: an iteration by evidence, against `paper`", "times"),
+                Figure(f"{case}.evidence_bytes/paper_bytes", f"{who}: its message, against that", "times"),
+                Figure(f"{case}.moving_us/paper_us", f"{who}: evidence of what moves, against `paper`", "times"),
+                Figure(f"{case}.moving_bytes/paper_bytes", f"{who}: its message, against that", "times"),
+            )
+        ),
         Figure("signatures.sign", "an entry is signed, once for all neighbours", "us"),
         Figure("signatures.sign/encode", "the same, against encoding a message of ten entries", "times"),
         Figure("signatures.verify", "an entry is verified, once when it is news", "us"),

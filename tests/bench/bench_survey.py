@@ -1,8 +1,6 @@
 """`aucamp calibrate landmarks` on the twin: a film of 68 tags, each off its place as the twin draws it.
 
-The camera is calibrated on the twin's bench first, and keeps what that got wrong. Once six tags are known as well as
-the fleet file says and no other is listed: errors are the others'. Once all are listed, each as wrong as by a quick
-look with a tape (5 mm, 1 degree).
+The camera is calibrated on the twin's bench first, and keeps what that got wrong.
 """
 
 from __future__ import annotations
@@ -19,6 +17,7 @@ from agent.core.ranging.camera_model import Calibration, at_lens_position
 from agent.core.ranging.focus import lens_position
 from agent.experiments.ball_measurements import PosedRobot
 from agent.experiments.claim import Claim, Figure, Row, Rows, Value, rms
+from agent.experiments.still_camera import rotation_of_view
 from agent.perception.tags import find_tags
 from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
@@ -102,10 +101,8 @@ def film(fleet: Fleet, known: Calibration, tags: Sequence[PaintedTag], frames: i
     camera = at_lens_position(known.camera, position)
     for tick in range(frames):
         x, y, z = rng.uniform((0.6, 0.6, 0.25), (2.4, 1.4, 0.42)).tolist()
-        yaw, tilt = rng.uniform(-np.pi, np.pi), np.radians(rng.uniform(-50, 0))
-        ahead = np.array([np.cos(yaw) * np.cos(tilt), np.sin(yaw) * np.cos(tilt), np.sin(tilt)])
-        right = np.array([np.sin(yaw), -np.cos(yaw), 0.0])
-        eye = Eye((x, y, z), np.stack([right, np.cross(ahead, right), ahead], axis=1))
+        yaw_deg, tilt_deg = rng.uniform((-180.0, -50.0), (180.0, 0.0)).tolist()
+        eye = Eye((x, y, z), rotation_of_view(yaw_deg, tilt_deg))
         image = painter.frame(eye, lens.at_position_m(position), tick=tick)
         yield SurveyFrame(camera.f_px, camera.width_px, tuple(one.seen for one in find_tags(image, camera)))
 

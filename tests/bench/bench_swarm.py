@@ -1,4 +1,5 @@
-"""Whole swarms of real processes: twenty agents on one machine, and five whose links were cut for twenty seconds.
+"""Whole swarms of real processes: twenty agents on one machine, with certificates and without, and five whose links
+were cut for twenty seconds.
 
 Camera and motors are a script, because twenty rendered cameras need twenty cores.
 """
@@ -13,13 +14,13 @@ from pathlib import Path
 from agent.core.codec import decode
 from agent.core.messages import State
 from agent.core.topics import STATE
-from agent.experiments.claim import Claim, Figure, NoSettings, Row, Rows, Value
+from agent.experiments.claim import Figure, NoSettings, Row
+from agent.process.certificates import credentials
 from agent.process.launch import free_ports
 from agent.process.transport import Observer
-from tests.bench.network.processes import agents, in_one_line, made, needs_hosts, resident_mb
-from tests.bench.timing import median_figures
-from tests.network.relay import Links, Relay
-from tests.network.swarm_in_namespaces import WATCHER, Swarm
+from tests.bench.network.processes import agents, in_one_line, made, resident_mb, swarm_of
+from tests.bench.timing import claim_of_medians
+from tests.network.relay import Links
 from tests.waiting import until
 
 AGENTS = 20
@@ -33,15 +34,17 @@ PARTITION_S = 20.0
 @in_one_line()
 def run(seed: int, case: str, settings: NoSettings) -> list[Row]:
     """Raises ConfigError for healing where namespaces are not permitted, Failed where robots never agree."""
-    return [twenty() if case == "twenty" else {"healed_s": healed_s()}]
+    return [{"healed_s": healed_s()} if case == "healing" else twenty("tls" if case == "secured" else "tcp")]
 
 
-def twenty() -> Row:
-    """Memory, traffic and time to agreement of AGENTS processes, from the first one's start."""
+def twenty(kind: str) -> Row:
+    """Memory, traffic and time to agreement of AGENTS processes, from the first one's start. A link that stays mute one
+    way keeps them from it, for a minute."""
     with tempfile.TemporaryDirectory() as folder:
-        one, began_s = made(Path(folder), "tcp", free_ports(AGENTS), reach=REACH), time.monotonic()
+        one, began_s = made(Path(folder), kind, free_ports(AGENTS), reach=REACH), time.monotonic()
         states: dict[str, State] = {}
-        with agents(one) as processes, Observer(one.fleet, time.monotonic_ns, (STATE,)) as observer:
+        view = Observer(one.fleet, time.monotonic_ns, (STATE,), "view", credentials(one.fleet, "view", one.path))
+        with agents(one) as processes, view as observer:
 
             def look() -> dict[str, State]:
                 newest = (decode(seen.payload, State) for seen in observer.drain())
@@ -72,39 +75,28 @@ def heard(states: dict[str, State]) -> int:
 
 def healed_s() -> float:
     """From the end of a partition until all five agree again."""
-    needs_hosts()
-    names = [f"r{k}" for k in range(1, 6)]
-    with Relay([*names, WATCHER], set(names)) as relay, tempfile.TemporaryDirectory() as folder:
-        swarm = Swarm(relay, dict.fromkeys(names, 0.0), Path(folder))
-        try:
-            swarm.start(*names)
-            swarm.watch()
-            swarm.until("agreement", swarm.agree)
-            relay.links = Links(sides=(frozenset(names[:2]), frozenset(names[2:])))
-            time.sleep(PARTITION_S)
-            relay.links = Links()
-            return swarm.until("one swarm", swarm.agree)
-        finally:
-            swarm.stop()
+    with swarm_of(5) as swarm:
+        swarm.watch()
+        swarm.until("agreement", swarm.agree)
+        swarm.relay.links = Links(sides=(frozenset({"r1", "r2"}), frozenset({"r3", "r4", "r5"})))
+        time.sleep(PARTITION_S)
+        swarm.relay.links = Links()
+        return swarm.until("one swarm", swarm.agree)
 
 
-def summary(rows: Rows) -> dict[str, Value]:
-    return median_figures(CLAIM.figures, rows)
-
-
-CLAIM = Claim(
+CLAIM = claim_of_medians(
     run=run,
-    summary=summary,
-    cases=("twenty", "healing"),
+    cases=("twenty", "secured", "healing"),
     measured_on="processes",
     figures=(
         Figure("healing.healed_s", "five robots agree again after 20 s of partition", "s", most=2.0),
         Figure("twenty.agreed_s", "twenty start until all agree, six neighbours each", "s"),
+        Figure("secured.agreed_s", "the same with certificates and access rules", "s"),
+        Figure("secured.heard", "of the messages that they mean to send, heard"),
         Figure("twenty.heard", "of the messages that twenty mean to send, heard"),
         Figure("twenty.memory_mb", "memory of each of the twenty", "MB"),
     ),
     seeds=7,
-    alone=True,
     explanation="""Real agents with real sessions, loops and recordings. The twenty run on this machine, each with six
         neighbours along a ring; the five are on hosts of their own, network namespaces, with a relay between them that
         cuts two off from three. Medians of runs.""",

@@ -1,4 +1,4 @@
-"""What the twin takes: water, cameras, a board's firmware, and a robot in lock-step with all of it but pictures."""
+"""What the twin takes: water, cameras, lamps, a board's firmware, and a robot in lock-step with all but pictures."""
 
 from __future__ import annotations
 
@@ -12,9 +12,12 @@ import cv2
 import numpy as np
 
 from agent.core.config import Pose, Tank
+from agent.experiments import ball_measurements
 from agent.experiments.claim import Figure, Row
+from agent.experiments.dark_water import DarkWater, stand
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.swimmers import Swimmers
+from agent.experiments.still_camera import rotation_of_view
 from agent.process.command import Failed
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.dive import Dive
@@ -28,6 +31,7 @@ from tests.places import ROOT
 
 TICKS = 200  # that are timed as one
 PART = (170, 90, 300, 300)
+AT_M = 1.25  # from the ball
 FIND_S, SWUM_S = 12.0, 20.0
 
 
@@ -48,7 +52,7 @@ def pictures(times: int) -> Row:
     lens = draw_lens(scene.camera, generator(0, "r1", "lens"))
     painter = Painter(scene, Tank(), 1.333, lens, 0, "r1")
     painter.prepare()
-    eye = Eye((0.38, 0.31, 0.10), level(yaw_rad=0.585))
+    eye = Eye((0.38, 0.31, 0.10), rotation_of_view(33.5, 0.0))
     sharp, far = lens.image_m(1 / 0.29), lens.at_position_m(lens.lowest)
     plain = np.random.default_rng(0).random((480, 640, 3), dtype=np.float32)
     disc = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (9, 9)).astype(np.float32)
@@ -62,10 +66,16 @@ def pictures(times: int) -> Row:
         return medians_ms(ways, times, time.process_time)
 
 
-def level(yaw_rad: float) -> np.ndarray:
-    """Camera to world for a level camera: columns right, down, forward."""
-    sin, cos = np.sin(yaw_rad), np.cos(yaw_rad)
-    return np.column_stack([(sin, -cos, 0), (0, 0, -1), (cos, sin, 0)])
+def lamps(times: int) -> Row:
+    """A ball in harbour water by a robot's own lamp, and by those of two neighbours too."""
+    stands = {"r1": stand(AT_M, 0.0), "r2": stand(0.72, 30.0), "r3": stand(0.72, -45.0)}
+    sea = DarkWater("harbour", 0)
+    sea.prepare()
+    lit = {"one": ("r1",), "three": tuple(stands)}
+    ways = {way: partial(sea.painter.light, sea.moment("r1", stands, by), sea.sharp_m(AT_M)) for way, by in lit.items()}
+    with one_thread():
+        row = medians_ms(ways, times, time.process_time)
+    return {**row, "lamp": (row["three"] - row["one"]) / 2.0}
 
 
 def lockstep(times: int) -> Row:
@@ -80,7 +90,7 @@ def dived(seconds: float) -> tuple[float, float]:
     fleet = basin.fleet({"r1": basin.robot("r1", Pose(x_m=1.0, y_m=1.0, yaw_deg=0.0))}, 0)
     began_s, boards_s = time.process_time(), ended_s()
     # MicroPython's Unix port is not there on every machine.
-    with patch.object(basin, "interpreter", lambda: sys.executable), basin.twin_bodies(fleet) as bodies:
+    with patch.object(ball_measurements, "interpreter", lambda: sys.executable), basin.twin_bodies(fleet) as bodies:
         one = Swimmers(fleet, bodies)
         if not one.until_swims("r1", FIND_S):
             raise Failed("the robot never swam: this measures the wrong thing")
@@ -94,7 +104,7 @@ def ended_s() -> float:
     return children.ru_utime + children.ru_stime
 
 
-CASES = {"water": water, "pictures": pictures, "lockstep": lockstep}
+CASES = {"water": water, "pictures": pictures, "lamps": lamps, "lockstep": lockstep}
 
 
 def run(seed: int, case: str, settings: Settings) -> list[Row]:
@@ -111,6 +121,9 @@ CLAIM = claim_of_costs(
         Figure("pictures.sharp/filter", "the same, against one filter2D with a disc of 9 px", "times"),
         Figure("pictures.blurred/sharp", "a frame far out of focus, against one in focus", "times"),
         Figure("pictures.part/sharp", "300x300 of a frame, against all of it", "times"),
+        Figure("lamps.one", "a frame of 640x480 in the dark, by the own lamp", "ms"),
+        Figure("lamps.lamp", "one more lamp adds light, shadows and veil", "ms", most=10.0),
+        Figure("lamps.lamp/one", "the same, against a frame by the own lamp", "times"),
         Figure("lockstep.firmware_core", "a board's firmware at real time, under this Python", "% of a core", most=4.0),
         Figure("lockstep.speed", "one robot in lock-step, tags drawn, against real time", "times"),
     ),

@@ -11,11 +11,12 @@ import statistics
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
+from typing import Any
 
 import cv2
 import msgspec
 
-from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Value
+from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, Value
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
@@ -24,22 +25,19 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     times: int = 15  # that each way is taken
 
 
+def claim_of_medians(
+    run: Callable[[int, str, Any], list[Row]], figures: tuple[Figure, ...], explanation: str, **about: Any
+) -> Claim:
+    """A claim that runs alone, and whose figures are told by their keys; about: what else there is to a claim."""
+    return Claim(run, partial(median_figures, figures), figures, explanation, alone=True, **about)
+
+
 def claim_of_costs(
     run: Callable[[int, str, Settings], list[Row]], cases: Iterable[str], figures: tuple[Figure, ...], explanation: str
 ) -> Claim:
     """Of five repetitions, the least whose middle value has an interval of 90 %."""
-    return Claim(
-        run=run,
-        summary=partial(median_figures, figures),
-        figures=figures,
-        explanation=explanation,
-        measured_on="this machine",
-        settings=Settings,
-        cases=tuple(cases),
-        quick={"times": 3},
-        seeds=5,
-        alone=True,
-    )
+    about = {"settings": Settings, "quick": {"times": 3}, "measured_on": "this machine", "seeds": 5}
+    return claim_of_medians(run, figures, explanation, cases=tuple(cases), **about)
 
 
 def medians_ms(
@@ -58,15 +56,18 @@ def medians_ms(
 
 
 def median_figures(figures: Sequence[Figure], rows: Rows) -> dict[str, Value]:
-    """Medians over repetitions. A figure's key says what it tells: `case.way`, or `case.way/other` for how many times
-    the other way it is. Left out: cases that were not run, and ways that this machine does not have."""
+    """A figure's key says what it tells: `case.way` the median of all rows, `case.way/other` that of how many times the
+    other way it is, `case.way<=2` the share of rows in which it is no more. Left out: cases that were not run, and ways
+    that this machine does not have."""
     found: dict[str, Value] = {}
     for figure in figures:
         case, _, told = figure.key.partition(".")
+        told, _, most = told.partition("<=")
         way, _, other = told.partition("/")
         values = [row[way] / (row[other] if other else 1.0) for row in rows.get(case, ()) if way in row]
         if values:
-            found[figure.key] = Quantile(values, 50.0)
+            share = Share(sum(value <= float(most) for value in values), len(values)) if most else None
+            found[figure.key] = share or Quantile(values, 50.0)
     return found
 
 

@@ -11,8 +11,9 @@ COSTS = (bench_frames, bench_messages, bench_recording, bench_twin)
 
 def test_a_figure_is_the_median_of_what_its_key_names():
     rows = {"a-case": [{"way": 4.0, "other": 2.0}, {"way": 9.0, "other": 3.0}, {"way": 5.0, "other": 5.0}]}
-    keys = ("a-case.way", "a-case.way/other", "a-case.absent", "not-run.way")
+    keys = ("a-case.way", "a-case.way/other", "a-case.absent", "not-run.way", "a-case.way<=5", "a-case.way<=1.5")
     found = median_figures([Figure(key, "") for key in keys], rows)
+    assert (found.pop("a-case.way<=5"), found.pop("a-case.way<=1.5")) == (Share(2, 3), Share(0, 3))
     assert {key: list(value.values) for key, value in found.items()} == {
         "a-case.way": [4.0, 9.0, 5.0],
         "a-case.way/other": [2.0, 3.0, 1.0],

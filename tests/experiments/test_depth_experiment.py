@@ -53,7 +53,7 @@ def test_one_view(camera, fit):
 
 def test_figures_are_means_over_lenses_and_never_where_one_has_none():
     found = {"mm": 8.0, "near_mm": 2.0, "told": 0.9}
-    ways = [{"way": way, **found} for way in (*depth.METHODS, "fixed")]
+    ways = [{"way": way, **found} for way in depth.METHODS]
     other = [{**row, "mm": 10.0, "near_mm": None} for row in ways]
     figures = depth.summary({"crop-1280": [*ways, *other]})
     assert figures["crop-1280_matched_mm"] == 9.0 and figures["crop-1280_matched_near_mm"] is None

@@ -9,8 +9,7 @@ from agent.core.config import Body
 from agent.experiments import following_dive
 from agent.experiments.claim import measure, verdict
 from agent.experiments.following import CASES, CLAIM, figures_of, losses, row_of, summary
-from agent.experiments.following_dive import Draw, reaches
-from agent.experiments.navigation.pursuit import BODY_M, Wanderer
+from agent.experiments.following_dive import BODY_M, Draw, Wanderer, reaches
 from agent.experiments.navigation.swimmers import Pillar, hides
 from hw.twin.scene import generator
 
@@ -61,7 +60,19 @@ def test_time_to_see_it_again_counts_from_when_it_is_in_sight() -> None:
     draw.sees[70:, 2] = False  # to the end: never
     row = row_of(CASE, draw)
     assert row["again_s"] == [0.5, 2.0, 2.0] and row["again_alone_s"] == [None]
-    assert figures(draw)["again_alone_s"] is None and figures(drawn())["again_alone_s"] == 0.0
+    assert figures(draw)["again_alone_s"] is None
+
+
+def test_no_loss_of_it_shows_nothing_of_how_soon_it_is_seen_again() -> None:
+    key = "share-3_0.15_again_alone_s"
+    figure = next(figure for figure in CLAIM.figures if figure.key == key)
+    lost = drawn()
+    lost.sees[70:85, :] = lost.in_sight[70:80, :] = False
+    never, once = ([{"speed_m_s": 0.15, **row_of(CASE, draw)}] for draw in (drawn(), lost))
+    assert verdict(figure, measure(CLAIM, {"share-3": {0: never, 1: never}})[key]) == "not shown"
+    found = measure(CLAIM, {"share-3": {0: never, 1: once}})[key]
+    assert found.value == 0.5 and verdict(figure, found) == "not shown", "one seed may be drawn without a loss"
+    assert verdict(figure, measure(CLAIM, {"share-3": {0: once, 1: once}})[key]) == "met"
 
 
 def test_a_robot_that_has_it_behind_is_asked_for_it_from_when_the_gimbal_reaches() -> None:
@@ -91,8 +102,8 @@ def test_dives_add_up_and_lost_words_have_their_price() -> None:
     judged = {figure.key: verdict(figure, told[figure.key]) for figure in CLAIM.figures if figure.key in told}
     assert judged["share-3_0.15_each"] == "met" and judged["share-3-loss30_0.15_cost"] == "not shown"
     unknown = drawn(error_m=np.full((N, 3), np.nan), nees=np.full((N, 3), np.nan))
-    alone = summary({"share-1": [{"speed_m_s": 0.1, **row_of(CASES["share-1"], unknown)}]})
-    assert alone["share-1_0.10_rms_mm"] is alone["share-1_0.10_nees"] is None and alone["share-1_0.10_known"] == 0.0
+    alone = summary({"silent-3": [{"speed_m_s": 0.1, **row_of(CASES["silent-3"], unknown)}]})
+    assert alone["silent-3_0.10_rms_mm"] is alone["silent-3_0.10_nees"] is None and alone["silent-3_0.10_known"] == 0.0
 
 
 def test_weeds_hide_and_nothing_swims_through_them() -> None:

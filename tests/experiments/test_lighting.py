@@ -5,7 +5,7 @@ import pytest
 
 from agent.experiments.claim import Quantile, Share
 from agent.experiments.dark_water import DarkWater, stand
-from agent.experiments.lighting import NEIGHBOURS, Sweeps, after_loss, correlation, ratio, scored, sets_for, summary
+from agent.experiments.lighting import NEIGHBOURS, Sweeps, correlation, ratio, scored, sets_for, summary
 from tests.bench.light import bench_leases, bench_night
 from tests.studies.veil import claim as veil
 from tests.studies.veil.tables import smoothed
@@ -20,13 +20,6 @@ def test_a_neighbours_lamp_is_worth_more_than_the_own_one() -> None:
     assert rule.accepted == 1.0 and rule.sigma_mm is not None
     assert own.sigma_mm is None or own.sigma_mm > 2 * rule.sigma_mm
     assert len(sweeps.logs()) == (1 if own.sigma_mm is None else 2)
-
-
-def test_lost_messages_leave_a_lender_dark_and_a_sweeper_with_its_own_lamp() -> None:
-    always = np.random.default_rng(1)
-    assert after_loss("r1", frozenset(("r2", "r3")), 1.0, always) == {"r1"}
-    assert after_loss("r1", frozenset(("r2", "r3")), 0.0, always) == {"r2", "r3"}
-    assert after_loss("r1", frozenset(("r1",)), 1.0, always) == {"r1"}
 
 
 def test_the_optimum_is_no_worse_than_the_rule_by_their_own_score() -> None:
@@ -49,11 +42,9 @@ def test_an_outlier_is_smoothed_away_and_what_is_known_well_stays() -> None:
 
 def world(own_mm: float | None, rule_mm: float | None, usable: dict[str, int]) -> dict:
     log = [[10.0 - k, 1.0 + 0.5 * k] for k in range(4)]
-    counts = {
-        size: {**dict.fromkeys(("own", "all", "common", "rule", "optimum", "lossy"), 1), "of": 2} for size in "23"
-    }
+    counts = {size: {**dict.fromkeys(("own", "rule", "optimum"), 1), "of": 2} for size in "23"}
     row = {"own_mm": own_mm, "rule_mm": rule_mm, "times_own": ratio(rule_mm, own_mm), "farther": 2.0, "logs": log}
-    return {**row, "usable": {**counts, "5": {**dict.fromkeys(("all", "common", "lossy"), 0), **usable}}}
+    return {**row, "usable": {**counts, "5": usable}}
 
 
 def test_a_robot_without_a_peak_by_its_own_lamp_has_all_to_gain() -> None:

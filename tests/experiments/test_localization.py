@@ -145,8 +145,8 @@ def test_a_partition_heals_and_a_restarted_robot_is_told_what_it_knew() -> None:
 def batch(draws: int, square: float, central: float, bound: float, **other: float) -> Row:
     """Sums of so many draws."""
     return {
-        "swarm": "evidence-good",
-        "t": 50,
+        "swarm": "evidence-late",
+        "t": 45,
         "draws": draws,
         "known": draws,
         "nees": 3.0 * draws,
@@ -173,8 +173,8 @@ def test_the_luck_of_the_draws_is_taken_off_where_batches_are_pooled() -> None:
 
 
 def test_the_bootstrap_draws_batches() -> None:
-    rows = {"good-links": {seed: [batch(2, (1.0 + 0.1 * seed) ** 2 * 1e-6, 1e-6, 1e-6)] for seed in range(10)}}
-    found = measure(CLAIM, rows)["evidence-good_ratio"]
+    rows = {"late-views": {seed: [batch(2, (1.0 + 0.1 * seed) ** 2 * 1e-6, 1e-6, 1e-6)] for seed in range(10)}}
+    found = measure(CLAIM, rows)["evidence-late_ratio"]
     assert 1.2 < found.low < found.value < found.high < 1.7
 
 
@@ -182,9 +182,6 @@ def test_the_same_seed_gives_the_same_rows_and_another_does_not() -> None:
     few = Settings(draws=2, iterations=5)
     assert run(1, "relays", few) == run(1, "relays", few)
     assert run(1, "relays", few) != run(2, "relays", few)
-    case = Case("evidence", "full", 5, 1, (5,), systematic=True, anywhere=True)
-    bounds = {score_draw(each, 0, k)[0].bound for each in (case, case._replace(anywhere=False)) for k in (0, 1)}
-    assert len(bounds) == 3, "robots stand elsewhere in each draw, or never"
 
 
 def test_every_figure_is_found_and_every_swarm_is_in_a_figure() -> None:

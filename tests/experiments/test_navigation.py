@@ -15,12 +15,11 @@ from agent.core.linear_algebra import wrap
 from agent.core.messages import Estimate
 from agent.core.ranging.fix import Fix
 from agent.experiments.claim import Quantile, Share
-from agent.experiments.navigation import around_ball, basin, manoeuvres, pursuit
+from agent.experiments.navigation import around_ball, basin, manoeuvres, search
 from agent.experiments.navigation.around_ball import aided, crossing, free_place, target
 from agent.experiments.navigation.basin import CAMERA, PlanarBodies
 from agent.experiments.navigation.joint_filter import JointFilter, full
 from agent.experiments.navigation.manoeuvres import ORBIT_M, ORBIT_M_S, goto, off_orbit, settled_s
-from agent.experiments.navigation.pursuit import STANDOFF_M, kept
 from agent.experiments.navigation.swimmers import DrawnCamera, Swimmers
 from hw.twin.dive import RobotPose
 
@@ -190,13 +189,6 @@ def test_who_sees_tags_is_not_aided_and_knows_best_where_it_is() -> None:
     assert row["aided"] > 100 and row["nees"] / row["aided"] < 2.0
 
 
-def test_distances_and_angles_that_are_kept_around_a_target() -> None:
-    ways = np.radians([0.0, 120.0, 240.0])
-    even = STANDOFF_M * np.column_stack([np.cos(ways), np.sin(ways)])
-    assert kept(even[None]) == pytest.approx({"off_mm": 0.0, "gap_deg": 0.0}, abs=1e-9)
-    assert kept(1.1 * even[None])["off_mm"] == pytest.approx(100.0 * STANDOFF_M)
-
-
 # --- what is summed up ------------------------------------------------------------------------------------------
 
 
@@ -230,22 +222,21 @@ def test_what_robots_around_a_ball_come_to() -> None:
     }
 
 
-def test_what_followers_and_searchers_come_to() -> None:
+def test_what_searchers_come_to() -> None:
     alone, three = (
         {"s": None, "least_m": None, "told": 0, "robots": 1},
         {"s": 9.0, "least_m": 0.5, "told": 2, "robots": 3},
     )
-    assert pursuit.summary({"search": [three], "search-alone": [alone]}) == {
-        "search_told": Share(2, 3),
-        "search_s": Quantile([9.0], 95.0),
-        "search-alone_s": Quantile([None], 95.0),
-        "search_least_m": 0.5,
-        "search_keep": Share(1, 1),
+    assert search.summary({"three": [three], "alone": [alone]}) == {
+        "three_told": Share(2, 3),
+        "three_s": Quantile([9.0], 95.0),
+        "alone_s": Quantile([None], 95.0),
+        "three_least_m": 0.5,
+        "three_keep": Share(1, 1),
     }
-    assert pursuit.summary({"follow": [{"off_mm": 3.0, "gap_deg": 4.0, "least_m": 0.3}]})["follow_keep"] == Share(0, 1)
 
 
-@pytest.mark.parametrize("claim", [manoeuvres.CLAIM, around_ball.CLAIM, pursuit.CLAIM])
+@pytest.mark.parametrize("claim", [manoeuvres.CLAIM, around_ball.CLAIM, search.CLAIM])
 def test_figures_are_those_of_all_cases(claim) -> None:
     """Each case's figures begin with its name."""
     of = {max((case for case in claim.cases if figure.key.startswith(case)), key=len) for figure in claim.figures}

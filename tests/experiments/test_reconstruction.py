@@ -108,7 +108,7 @@ def test_robots_share_their_error_and_a_common_one_is_nobodys(floor: Rendered) -
 
 def test_views_that_are_off_make_a_worse_scene(floor: Rendered) -> None:
     truth = seen_twice(floor)
-    exact, off = (scenes.judged_scene(floor, truth, poses, 0, "surfels") for poses in ("exact", "noisy"))
+    exact, off = (scenes.judged_scene(floor, truth, poses, 0) for poses in ("exact", "noisy"))
     assert exact["median_mm"] < 0.5 and exact["focus_complete_10mm"] > 85.0
     assert exact["median_mm"] < off["median_mm"]
     assert exact["known_db"] > 15.0

@@ -49,7 +49,6 @@ class Case(NamedTuple):
     speed_mm_s: float = 0.0  # of the target, on a circle
     says: int = 1  # messages to each neighbour in one iteration
     ticks: int = 1  # iterations for each sample, which takes a second: one measures, all exchange
-    anywhere: bool = False  # robots stand elsewhere in each draw
 
     @property
     def honest(self) -> slice:
@@ -146,17 +145,16 @@ class Score(NamedTuple):
     bound: float  # the square that the latter has in the mean over all draws
 
 
-def world_of(case: Case, rng: np.random.Generator | None = None) -> MonteCarloWorld:
-    """The one world, with as many robots as the case has; or one that is drawn."""
-    chance = rng if case.anywhere and rng is not None else np.random.default_rng(WORLD)
-    return draw_world(case.robots, case.noise, case.systematic, chance)
+def world_of(case: Case) -> MonteCarloWorld:
+    """The one world, with as many robots as the case has."""
+    return draw_world(case.robots, case.noise, case.systematic, np.random.default_rng(WORLD))
 
 
 def score_draw(case: Case, seed: int, number: int) -> list[Score]:
     """One draw: its scores at case.at."""
     rng = np.random.default_rng((seed, number, 1))  # (6, 0) draws the very numbers that drew WORLD
     random = Random(f"{seed} {number}")
-    world = world_of(case, rng)
+    world = world_of(case)
     if case.speed_mm_s:
         return [score_moving_target(case, world, rng, random)]
     dive = draw_dive(world, case.views, case.outlier_mm * 1e-3, case.at[-1], rng)

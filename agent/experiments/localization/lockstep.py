@@ -1,9 +1,8 @@
 """A swarm in virtual time: the agents' own estimators and caches, a list instead of a network.
 
 All tick, then all speak; what is not lost arrives at once, and a posterior that is read after it makes use of it.
-Nothing is encoded: what the bytes do is the business of other tests, and this makes a thousand robots affordable.
-Signatures, where there are any, are perfect ones that cost nothing (`PerfectKey`). First come the communication graphs
-and the worlds: where robots are, and what their cameras get wrong.
+Nothing is encoded. First come the communication graphs and the worlds: where robots are, and what their cameras get
+wrong.
 """
 
 from __future__ import annotations
@@ -39,16 +38,8 @@ def graph(topology: Topology, robots: int) -> Graph:
     """The graph of this name. `geometric` is one fixed draw for each number of robots."""
     if topology == "geometric":
         return geometric(robots, GEOMETRIC_SEED)
-    linked = np.zeros((robots, robots), dtype=bool)
-    for i in range(robots):
-        for j in range(robots):
-            apart = abs(i - j)
-            linked[i, j] = {
-                "full": apart > 0,
-                "line": apart == 1,
-                "ring": apart in (1, robots - 1),
-            }[topology]
-    return _neighbours(linked)
+    apart = np.abs(np.subtract.outer(range(robots), range(robots)))
+    return _neighbours({"full": apart > 0, "line": apart == 1, "ring": np.isin(apart, (1, robots - 1))}[topology])
 
 
 def geometric(robots: int, seed: int) -> Graph:

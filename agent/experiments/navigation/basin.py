@@ -33,9 +33,8 @@ from agent.core.config import (
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import CameraFit, gimbal_deg
 from agent.core.step_io import SetPoint, Telemetry
-from agent.experiments.ball_measurements import Host
-from agent.process.command import Failed, temporary_folder
-from hw.twin.board import Board, interpreter
+from agent.experiments.ball_measurements import Host, hosts_of
+from agent.process.command import Failed
 from hw.twin.dive import Dive, RobotPose, run_in_lock_step
 from hw.twin.physics.body import PLAY_DEG
 from hw.twin.physics.tank import TICK_NS
@@ -97,7 +96,11 @@ def robot(
 
 
 def linked(
-    poses: Sequence[Pose], seed: int, look: Look = FLOOR_LOOK, does: Sequence[Behaviour | None] | None = None
+    poses: Sequence[Pose],
+    seed: int,
+    look: Look = FLOOR_LOOK,
+    does: Sequence[Behaviour | None] | None = None,
+    ball: Target = BALL,
 ) -> Fleet:
     """Robots r1, r2 ... at those poses, each a neighbour of all; does: what each is told."""
     names = [f"r{k + 1}" for k in range(len(poses))]
@@ -105,7 +108,7 @@ def linked(
         name: robot(name, pose, what, look, tuple(other for other in names if other != name))
         for name, pose, what in zip(names, poses, does or [None] * len(poses), strict=True)
     }
-    return fleet(robots, seed)
+    return fleet(robots, seed, ball)
 
 
 # --- a body in the plane: the kernel's own form of the equations, with constants of its own ---
@@ -280,28 +283,20 @@ class TwinBodies:
 @contextlib.contextmanager
 def twin_bodies(fleet: Fleet, *, pull: Pull = PULL) -> Iterator[TwinBodies]:
     """Boot them; they swim freely once they are armed."""
-    names = list(fleet.robot)
-    dive = Dive(fleet, names, START_NS, scene=Scene(name="basin", moored=False, tether_pull=pull))
-    with temporary_folder() as folder, contextlib.ExitStack() as stack:
-        dive.boards = [
-            Board(name, folder, tare_pa, interpreter=interpreter())
-            for name, tare_pa in zip(names, dive.tare_pa, strict=True)
-        ]
-        for board in dive.boards:
-            stack.callback(board.close)
-            board.start()
-        yield TwinBodies(dive, {board.robot: stack.enter_context(Host(board)) for board in dive.boards})
+    dive = Dive(fleet, list(fleet.robot), START_NS, scene=Scene(name="basin", moored=False, tether_pull=pull))
+    with hosts_of(dive) as hosts:
+        yield TwinBodies(dive, hosts)
 
 
-def at_rest(t_ns: int, armed: bool) -> Telemetry:
+def at_rest(t_ns: int, armed: bool, depth_m: float = DEPTH_M) -> Telemetry:
     """A module whose robot is level and at depth."""
     return Telemetry(
         t_ns=t_ns,
         board_us=0,
-        depth_m=DEPTH_M,
+        depth_m=depth_m,
         roll_deg=0.0,
         pitch_deg=0.0,
-        sensor_depth_m=(DEPTH_M,) * 4,
+        sensor_depth_m=(depth_m,) * 4,
         pulses_us=(1500,) * 8,
         servos_us=(1500,) * 4,
         battery_v=14.0,

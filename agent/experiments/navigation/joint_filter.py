@@ -22,7 +22,6 @@ from agent.capabilities.swim.localizer import Carriage
 from agent.capabilities.swim.plane_odometry import odometry
 from agent.capabilities.swim.pose_filter import FIRST, FIRST_LEARNT, STEP_NS, Drift, Hull, Wrench, motion
 from agent.capabilities.swim.projection import View, view
-from agent.capabilities.swim.swim import swimmer_of
 from agent.capabilities.swim.tag_fix import Map, Priors, TagFix, first_fix, priors, tag_fix, whole
 from agent.core.linear_algebra import ZERO, wrap
 from agent.core.messages import Symmetric, Vector
@@ -201,14 +200,12 @@ class Replayed:
         self._stays: list[Symmetric] = [ZERO] * len(swimmers.agents)
         assert self.fleet.landmarks is not None
         self._map = Map(self.fleet.landmarks, markers(self.fleet.landmarks))
-        for i, (name, agent) in enumerate(swimmers.agents.items()):
+        for i, name in enumerate(swimmers.agents):
             camera = swimmers.calibrations[name].camera
             self._views.append(view(camera, self.fleet.body, self.fleet.tank.surface_m, None))
-            swimmer = swimmer_of(agent.capabilities)
-            assert swimmer is not None
+            localizer = swimmers.swimmer(name).localizer
             for order, what in enumerate(ORDER[:-1]):
-                told = getattr(swimmer.localizer, what)
-                setattr(swimmer.localizer, what, partial(self._note, order, i, told))
+                setattr(localizer, what, partial(self._note, order, i, getattr(localizer, what)))
 
     @property
     def samples(self) -> int:

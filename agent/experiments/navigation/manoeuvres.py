@@ -1,8 +1,4 @@
-"""Hold, goto, turn and orbit: how well one robot does what it is told, by the truth.
-
-Each manoeuvre runs from when the robot, armed and sure of itself, first asks for a force. A tether pulls by 0.05 N rms,
-forgotten after 4 s. A seed is a body and a survey of the tags; places and directions are drawn from it.
-"""
+"""Hold, goto, turn and orbit: how well one robot does what it is told, by the truth."""
 
 from __future__ import annotations
 
@@ -43,9 +39,8 @@ def hold(seed: int) -> Row:
     off = watched[:, 1:3] - (x, y)
     turned = np.array([wrap(psi - yaw) for psi in watched[:, 3]])
     return {
-        "rms_mm": 1e3 * _rms(np.hypot(*off.T)),
-        "yaw_rms_deg": math.degrees(_rms(turned)),
-        "worst_mm": 1e3 * float(np.hypot(*off.T).max()),
+        "rms_mm": rms(1e3 * np.hypot(*off.T)),
+        "yaw_rms_deg": rms(np.degrees(turned)),
     }
 
 
@@ -85,11 +80,9 @@ def orbit(seed: int, gaps: bool = False) -> Row:
     x, y = cx + ORBIT_M * math.cos(first), cy + ORBIT_M * math.sin(first)
     pose = Pose(x_m=x, y_m=y, yaw_deg=math.degrees(wrap(first + math.pi)))
     told = Orbit(x_m=cx, y_m=cy, radius_m=ORBIT_M, speed_m_s=ORBIT_M_S)
-    sees = _in_gaps if gaps else _always
-    path = _swum(seed, pose, told, basin.FLOOR_LOOK, SETTLE_S + WATCH_S, sees)
+    path = _swum(seed, pose, told, basin.FLOOR_LOOK, SETTLE_S + WATCH_S, _in_gaps if gaps else None)
     watched = path[path[:, 0] > SETTLE_S]
-    off = off_orbit(watched, (cx, cy))
-    return {"rms_mm": 1e3 * _rms(off), "worst_mm": 1e3 * float(off.max())}
+    return {"rms_mm": rms((1e3 * off_orbit(watched, (cx, cy))).tolist())}
 
 
 def off_orbit(path: Path, centre_m: tuple[float, float]) -> NDArray[np.float64]:
@@ -128,10 +121,6 @@ def _swum(
         return one.path("r1", seconds)
 
 
-def _always(now_ns: int) -> bool:
-    return True
-
-
 def _in_gaps(now_ns: int) -> bool:
     return (now_ns * 1e-9) % GAP_OF_S < GAP_OF_S - GAP_S
 
@@ -143,10 +132,6 @@ def _before_a_wall(rng: np.random.Generator) -> tuple[float, float, float]:
     if rng.random() < 0.5:
         return along_m, away_m, wrap(-0.5 * math.pi + aside)
     return along_m, TANK.size_m[1] - away_m, 0.5 * math.pi + aside
-
-
-def _rms(values: NDArray[np.float64]) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
 
 
 # --- the claim ---

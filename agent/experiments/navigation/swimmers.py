@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 
 from agent.capabilities.swim.projection import BENT_PX, EDGE_AT, EDGE_PX, OFFSET_PX, STRETCH
 from agent.capabilities.swim.swim import swimmer_of
+from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.codec import encode
 from agent.core.config import Fleet
 from agent.core.messages import Message, Vector
@@ -456,10 +457,14 @@ class Swimmers:
             payload = encode(self.forged(letter))
             self._post[dst].append(Heard(arrived_ns=self.now_ns, src=src, payload=payload, topic=topic))
 
+    def swimmer(self, name: str) -> Swimmer:
+        found = swimmer_of(self.agents[name].capabilities)
+        assert found is not None
+        return found
+
     def swims(self, name: str) -> bool:
         """Whether it is armed, and does what it is told."""
-        swimmer = swimmer_of(self.agents[name].capabilities)
-        return swimmer is not None and swimmer.under_way
+        return self.swimmer(name).under_way
 
     def place(self, name: str) -> tuple[float, float, float]:
         """Where it truly is: x and y (m), yaw (rad)."""

@@ -1,9 +1,7 @@
 """Where a robot that swims is by the tags of one rendered frame, at rest: how far off, and whether it says so.
 
-The tags are surveyed as a lab would survey them. A seed is a robot with a lens, servos and a calibration from its own
-bench, and a basin whose tags hang a little elsewhere than surveyed. At each place: a frame with the lens where it
-rests between sweeps, and one with it anywhere. Depth and level are measured as drifting pressure sensors measure
-them.
+At each place: a frame with the lens where it rests between sweeps, and one with it anywhere. Depth and level are
+measured as drifting pressure sensors measure them.
 """
 
 from __future__ import annotations
@@ -20,8 +18,7 @@ from agent.capabilities.swim.projection import readable, view
 from agent.capabilities.swim.tag_fix import Map, TagFix, priors, tag_fix
 from agent.core.attitude import Attitude
 from agent.core.config import Fleet, Pose
-from agent.core.linear_algebra import wrap
-from agent.core.messages import Vector
+from agent.core.linear_algebra import distance2, wrap
 from agent.core.ranging.camera_model import Calibration, at_lens_position, gimbal_deg, servos_us
 from agent.core.ranging.focus import lens_position
 from agent.experiments.ball_measurements import PosedRobot, level_of, rotation_of
@@ -106,28 +103,16 @@ def judged(
     tags = readable([one.seen for one in found], known.landmarks.size_m, of, calibration.focus, lens)
     fix = tag_fix(of, before, known, tags, start)
     blurs = [one.blur_px for one in found if one.blur_px is not None]
-    ways = [_distance_m(known.markers[one.seen.id].middle_m, stand) for one in found]
-    row: Row = {
-        "tags": len(found),
-        "blur_px": float(np.median(blurs)) if blurs else None,
-        "distance_m": float(np.mean(ways)) if ways else None,
-    }
+    row: Row = {"blur_px": float(np.median(blurs)) if blurs else None}
     if not isinstance(fix, TagFix):
         return {**row, "refused": fix.reason}
-    e = np.array([fix.theta[0] - stand.x_m, fix.theta[1] - stand.y_m, wrap(fix.theta[2] - stand.yaw)])
-    xx, xy, xp, yy, yp, pp = fix.covariance
-    covariance = np.array([[xx, xy, xp], [xy, yy, yp], [xp, yp, pp]])
+    e = fix.theta[0] - stand.x_m, fix.theta[1] - stand.y_m, wrap(fix.theta[2] - stand.yaw)
     return {
         **row,
-        "error_mm": 1e3 * float(np.hypot(e[0], e[1])),
-        "error_deg": math.degrees(abs(float(e[2]))),
-        "nees": float(e @ np.linalg.solve(covariance, e)) / 3.0,
-        "sigma_mm": 1e3 * math.sqrt(xx + yy),
+        "error_mm": 1e3 * math.hypot(*e[:2]),
+        "error_deg": math.degrees(abs(e[2])),
+        "nees": distance2(fix.covariance, e) / 3.0,
     }
-
-
-def _distance_m(tag_m: Vector, stand: Stand) -> float:
-    return math.dist(tag_m, (stand.x_m, stand.y_m, TANK.surface_m - stand.level.depth_m))
 
 
 # --- the claim ---

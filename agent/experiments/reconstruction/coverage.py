@@ -1,9 +1,7 @@
 """How many keyframes it takes until a tank is known, by robots that share what they saw, and by robots that do not.
 
-The kernel's agents in virtual time, moored around drawn things. A sweep takes three seconds; what its blocks measure is
-the truth of the drawn scene, with the noise that the blocks of 1280x960 pixels owe to their grid. What is said comes a
-step later, or is lost. A run ends when nine tenths of the cells that can be seen at all are known to 4 mm, by the
-keyframes of all robots together.
+A sweep takes three seconds; what its blocks measure is the truth of the drawn scene, with the noise that the blocks of
+1280x960 pixels owe to their grid. What is said comes a step later, or is lost.
 """
 
 from __future__ import annotations
@@ -22,9 +20,11 @@ from agent.core.codec import encode
 from agent.core.config import Coverage, Fleet, Pose, Robot, Survey, Tank, Target
 from agent.core.ranging.camera_model import Calibration, CameraFit, camera_pose, gimbal_deg
 from agent.core.ranging.focus import lens_position, phase_sigma
-from agent.core.step_io import BlockPeaks, Heard, Inputs, Outputs, SweepPlan, Telemetry
+from agent.core.step_io import BlockPeaks, Heard, Inputs, Outputs, SweepPlan
 from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value
-from agent.experiments.reconstruction.drawn_scene import FOCUS, Scene, draw_scene, found_in, look
+from agent.experiments.navigation.basin import at_rest
+from agent.experiments.navigation.swimmers import FOCUS
+from agent.experiments.reconstruction.drawn_scene import Scene, draw_scene, found_in, look
 from agent.robot.step import Agent
 
 # --- moored robots around one scene ---
@@ -89,7 +89,8 @@ class World:
             before = surveyor.keyframes if surveyor else 0
             peaks = self._ended(name)
             blocks = UNSET if peaks is None else (peaks,)
-            inputs = Inputs(telemetry=(self._telemetry(name),), heard=heard, blocks=blocks)
+            telemetry = at_rest(self.now_ns, True, self.fleet.robot[name].depth_m)
+            inputs = Inputs(telemetry=(telemetry,), heard=heard, blocks=blocks)
             outputs = agent.step(inputs, self.now_ns)
             self.record(name, self.now_ns, encode(inputs), encode(outputs))
             if surveyor is not None and surveyor.keyframes > before:
@@ -121,24 +122,6 @@ class World:
             if self.rng.random() >= self.loss:
                 heard = Heard(arrived_ns=self.now_ns, src=name, payload=said.payload, topic=said.topic)
                 self._post[said.to].append(heard)
-
-    def _telemetry(self, name: str) -> Telemetry:
-        depth_m = self.fleet.robot[name].depth_m
-        return Telemetry(
-            t_ns=self.now_ns,
-            board_us=0,
-            depth_m=depth_m,
-            roll_deg=0.0,
-            pitch_deg=0.0,
-            sensor_depth_m=(depth_m,) * 4,
-            pulses_us=(1500,) * 8,
-            servos_us=(1500,) * 4,
-            battery_v=14.0,
-            armed=True,
-            ladder=0,
-            flags=0,
-            loop_us=0,
-        )
 
     def _ended(self, name: str) -> BlockPeaks | None:
         """What a sweep measured that is over now."""

@@ -12,25 +12,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.ranging.camera_model import CameraFit, FocusFit
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.step_io import BlockPeaks, SweepPlan
 
 Floats = NDArray[np.float64]
 FAR_M = 1e9
-# What the bench finds of a robot of the twin, rounded.
-FOCUS = FocusFit(
-    u_inf_m=0.0012,
-    b_m=136.5,
-    rho0=91.7,
-    covariance=(6.0357e-07, -4.6495e-04, 5.7052e-04, 0.36813, -0.46705, 0.62577),
-    noise=0.4,
-    width=119.0,
-    lowest=208,
-    highest=717,
-    r2=0.999,
-    rmse_m=0.008,
-    held_out_rmse_m=0.008,
-)
 SLOPE_ROUNDS = 10  # passes that take the bend out of a slope
 
 

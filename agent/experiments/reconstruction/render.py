@@ -19,7 +19,15 @@ from scipy.optimize import least_squares
 from agent.core.config import WaterKind
 from agent.core.ranging.camera_model import Calibration, CameraFit
 from agent.experiments.depth import calibrate
-from agent.experiments.still_camera import WATER_INDEX, StillCamera, TankView, breathing, lens_positions, sweep
+from agent.experiments.still_camera import (
+    WATER_INDEX,
+    StillCamera,
+    TankView,
+    breathing,
+    lens_positions,
+    rotation_of_view,
+    sweep,
+)
 from agent.reconstruction.pose_evidence import moved_about
 from agent.reconstruction.views import (
     Camera,
@@ -217,14 +225,6 @@ def view_from(
         depth_m=depth.depth_m,
         sigma_m=depth.sigma_m,
     )
-
-
-def rotation_of_view(yaw_deg: float, tilt_deg: float) -> NDArray[np.float64]:
-    """(3, 3) camera (right, down, ahead) to world."""
-    yaw, tilt = math.radians(yaw_deg), math.radians(tilt_deg)
-    ahead = np.array([math.cos(yaw) * math.cos(tilt), math.sin(yaw) * math.cos(tilt), math.sin(tilt)])
-    right = np.array([math.sin(yaw), -math.cos(yaw), 0.0])
-    return np.stack([right, np.cross(ahead, right), ahead], axis=1)
 
 
 # --- poses as wrong as a survey leaves them: an error that all views of a robot share, and one of each view ---

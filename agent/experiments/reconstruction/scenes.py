@@ -1,7 +1,6 @@
 """Scenes from focus sweeps: surfaces by focus alone, by comparing pictures alone, and by both, against the twin's
-truth; and what a scene looks like, on photographs held back.
-
-Five moored robots sweep a tank 45 times; poses are exact, or off as a survey by hand leaves them, or those refined.
+truth; and what a scene looks like, on photographs held back. Poses are exact, off as a survey by hand leaves them, or
+refined.
 """
 
 from __future__ import annotations
@@ -18,7 +17,6 @@ from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Value
 from agent.experiments.reconstruction.render import MOORED, Rendered, noisy, render
 from agent.experiments.reconstruction.score import Score, into_truth, off_mm, psnr_known_new, score, seen_twice
 from agent.reconstruction.fusion import CELL_M, fuse, merged, swept_twice
-from agent.reconstruction.held_back import ModelKind
 from agent.reconstruction.mesh import coloured, mesh_of
 from agent.reconstruction.refine_poses import refine
 from agent.reconstruction.run import image_model
@@ -29,7 +27,7 @@ Poses = Literal["exact", "noisy", "refined"]
 POSES: tuple[Poses, ...] = get_args(Poses)
 
 
-def judged_scene(rendered: Rendered, truth_m: Floats, poses: Poses, seed: int, kind: ModelKind) -> Row:
+def judged_scene(rendered: Rendered, truth_m: Floats, poses: Poses, seed: int) -> Row:
     """Surfaces from one tank's views, and an image model on the one by both, scored."""
     views = rendered.trained if poses == "exact" else noisy(rendered.trained, seed)
     if poses == "refined":
@@ -45,7 +43,7 @@ def judged_scene(rendered: Rendered, truth_m: Floats, poses: Poses, seed: int, k
     depths = zip(views, together.depth_m, together.sigma_m, strict=True)
     better = [replace(view, depth_m=depth_m, sigma_m=sigma_m) for view, depth_m, sigma_m in depths]
     mesh = coloured(mesh_of(fuse(together, CELL_M)), together)
-    model = image_model(kind, better, mesh, CELL_M, lambda done, total: None)
+    model = image_model("surfels", better, mesh, CELL_M, lambda done, total: None)
     focus, both, (known_db, new_db) = told(by_focus), told(together), psnr_known_new(model, rendered, views)
     return {
         "poses": poses,
@@ -69,7 +67,6 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """What can be asked."""
 
     exact_only: bool = False  # no poses that are off
-    model: ModelKind = "surfels"
     robots: int = len(MOORED)  # of the five
     sensor: Literal["crop_1280", "imx519_640"] = "crop_1280"  # presets of hw.twin.optics.lens
 
@@ -79,7 +76,7 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
     rendered = render(seed, cast(WaterKind, case), settings.sensor, settings.robots)
     truth_m = seen_twice(rendered)
     kinds = POSES[:1] if settings.exact_only else POSES
-    return [judged_scene(rendered, truth_m, poses, seed, settings.model) for poses in kinds]
+    return [judged_scene(rendered, truth_m, poses, seed) for poses in kinds]
 
 
 def summary(rows: Rows) -> dict[str, Value]:

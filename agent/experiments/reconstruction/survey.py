@@ -1,9 +1,7 @@
 """How much of a basin's floor three robots know that swim and survey it, after each minute in virtual time.
 
-Whole kernels, bodies in the plane that tethers pull, tags and points that are followed drawn as for the other claims on
-robots that swim; things on the floor that a draw put there. What a sweep's blocks measure is the truth of the drawn
-scene from where the camera truly was at its end, with noise; one block in OUTLIERS has a peak that is quite wrong, as
-in rendered dives. No frames are rendered, nothing is hidden but by things, and no robot is seen.
+What a sweep's blocks measure is the truth of the drawn scene from where the camera truly was at its end, with noise. No
+frames are rendered, nothing is hidden but by things, and no robot is seen.
 """
 
 from __future__ import annotations
@@ -79,18 +77,9 @@ class SurveyEyes(Eyes):
 
 def swimming_fleet(seed: int) -> Fleet:
     """Three robots that survey the floor of the basin of the experiment on navigation."""
-    names = [f"r{k + 1}" for k in range(len(STARTS))]
-    robots = {
-        name: basin.robot(
-            name,
-            Pose(x_m=x, y_m=y, yaw_deg=yaw),
-            Survey(),
-            neighbours=tuple(other for other in names if other != name),
-        )
-        for name, (x, y, yaw) in zip(names, STARTS, strict=True)
-    }
+    poses = [Pose(x_m=x, y_m=y, yaw_deg=yaw) for x, y, yaw in STARTS]
     coverage = Coverage(goal_mm=10.0, cell_mm=50.0, share=1.0, faces=("floor",))
-    return msgspec.structs.replace(basin.fleet(robots, seed), coverage=coverage)
+    return msgspec.structs.replace(basin.linked(poses, seed, does=[Survey()] * len(poses)), coverage=coverage)
 
 
 def swum(seed: int, seconds: float, every_s: float) -> Row:

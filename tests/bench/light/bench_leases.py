@@ -1,7 +1,6 @@
 """Sweeps in the dark by lamps that are lent, in bad weather: which of them counted though a lamp changed.
 
-Whole kernels in virtual time (tests/capabilities/light/lit_swarm.py), whose lamps are watched apart from what robots
-say of them.
+Whole kernels in virtual time, whose lamps are watched apart from what robots say of them.
 """
 
 from __future__ import annotations
@@ -27,15 +26,11 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
     """One dive of three robots."""
     swarm = LitSwarm(WEATHERS[case], seed)
     swarm.run(settings.dive_s)
-    return [
-        {
-            "counted": len(swarm.kept),
-            "wrong": sum(bool(sweep.altered) for sweep in swarm.kept),
-            "lent": sum(set(sweep.lamps) != {sweep.robot} for sweep in swarm.kept),
-            "spoiled": sum(why.startswith("spoiled") for why in swarm.rejected),
-            "others": sum(not why.startswith("spoiled") for why in swarm.rejected),
-        }
-    ]
+    wrong = sum(bool(sweep.altered) for sweep in swarm.kept)
+    lent = sum(set(sweep.lamps) != {sweep.robot} for sweep in swarm.kept)
+    spoiled = sum(why.startswith("spoiled") for why in swarm.rejected)
+    others = len(swarm.rejected) - spoiled
+    return [{"counted": len(swarm.kept), "wrong": wrong, "lent": lent, "spoiled": spoiled, "others": others}]
 
 
 def summary(rows: Rows) -> dict[str, Value]:
@@ -51,14 +46,6 @@ def summary(rows: Rows) -> dict[str, Value]:
     return found
 
 
-def figures(case: str, words: str) -> tuple[Figure, ...]:
-    return (
-        Figure(f"{case}_wrong", f"{words}: sweeps that counted though a lamp changed", "%", most=0.1),
-        Figure(f"{case}_spoiled", "sweeps that were discarded because one did", "%"),
-        Figure(f"{case}_lent", "sweeps that counted, by borrowed light", "%"),
-    )
-
-
 CLAIM = Claim(
     run=run,
     summary=summary,
@@ -66,9 +53,17 @@ CLAIM = Claim(
     quick={"dive_s": 20.0},
     cases=tuple(WEATHERS),
     measured_on="model",
-    figures=(
-        *figures("loss30", "30 % of messages lost"),
-        *figures("storm", "as many lost, some late and twice, robots restart and are disarmed"),
+    figures=tuple(
+        figure
+        for case, words in (
+            ("loss30", "30 % of messages lost"),
+            ("storm", "as many lost, some late and twice, robots restart and are disarmed"),
+        )
+        for figure in (
+            Figure(f"{case}_wrong", f"{words}: sweeps that counted though a lamp changed", "%", most=0.1),
+            Figure(f"{case}_spoiled", "sweeps that were discarded because one did", "%"),
+            Figure(f"{case}_lent", "sweeps that counted, by borrowed light", "%"),
+        )
     ),
     explanation="""Three robots sweep by each other's lamps, by a rule that lends all. No sweep may count while a lamp
         changed in it; of none wrong in a few thousand the interval still has an end above nothing, which the target

@@ -3,18 +3,29 @@
 from __future__ import annotations
 
 import math
+from random import Random
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
+from msgspec import UNSET
 from msgspec.structs import replace
 
+from agent.core.codec import encode
 from agent.core.config import Fleet
-from agent.demo.summary import PASS_PERCENT
+from agent.core.linear_algebra import difference, inverse, quadratic
+from agent.core.messages import Vector
+from agent.core.step_io import Heard, Outputs
+from agent.core.topics import LIGHT, NEAR
+from agent.demo.demo import SETTLE_ITERATIONS, SETTLE_M, SETTLE_WINDOW
+from agent.demo.summary import PASS_PERCENT, History, settled
 from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, Value
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
+from agent.robot.step import Agent
+from hw.twin.dive import run_in_lock_step
 from hw.twin.scene import scene_of
-from tests.bench.light.lockstep import calibrated, night
+from tests.bench.lockstep import START_NS, divers_of
 
 CASES = {"night": ("night", 0.0), "night-loss30": ("night", 0.3), "night-alone": ("night_alone", 0.0)}
 ALL_PERCENT = 95.0  # of the dives have to be right
@@ -24,24 +35,83 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """What can be asked."""
 
     limit_s: float = 120.0  # of a dive's own clock
-    whole: bool = False  # go on to the limit when all have settled
 
 
 def run(seed: int, case: str, settings: Settings) -> list[Row]:
     """One dive."""
     name, loss = CASES[case]
-    fleet = seeded(name, seed)
+    fleet = load_fleet(fleet_file(name))
+    fleet = replace(fleet, twin=replace(fleet.twin, seed=seed))
     far_mm = 1e3 * math.hypot(*scene_of(fleet).solid[0].position_m)
-    calibrations = {robot: calibrated(fleet, robot) for robot in fleet.robot}
-    settled_s, robots = night(fleet, calibrations, settings.limit_s, loss, settings.whole)
+    settled_s, robots = night(fleet, settings.limit_s, loss)
     errors_mm = [row["error_mm"] for row in robots]
     worst = None if None in errors_mm else 100.0 * max(errors_mm) / far_mm
     return [{"settled_s": settled_s, "worst_percent": worst, "robots": robots}]
 
 
-def seeded(name: str, seed: int) -> Fleet:
-    fleet = load_fleet(fleet_file(name))
-    return replace(fleet, twin=replace(fleet.twin, seed=seed))
+def night(fleet: Fleet, seconds: float, loss: float) -> tuple[float | None, list[Row]]:
+    """When all had settled, s, or None; and a row a robot."""
+    truth_m, settled_s, random = scene_of(fleet).solid[0].position_m, None, Random(fleet.twin.seed)
+    steps, histories = {name: list[Step]() for name in fleet.robot}, {name: History([]) for name in fleet.robot}
+    with divers_of(fleet) as (dive, divers):
+        while dive.now_ns - START_NS < seconds * 1e9 and settled_s is None:
+            t_s, said = (dive.now_ns - START_NS) * 1e-9, {name: diver.tick() for name, diver in divers.items()}
+            run_in_lock_step(dive, 1)
+            for name, outputs in said.items():
+                if outputs is None:
+                    continue
+                steps[name].append(Step(t_s, any(one.found for one in divers[name].sightings), outputs))
+                if outputs.state is not None:
+                    histories[name].states.append(outputs.state)
+                for heard, to in letters(name, outputs, dive.now_ns):
+                    if random.random() >= loss:
+                        divers[to].post.append(heard)
+            if dive.ticks % 100 == 0 and settled(list(histories.values()), SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M):
+                settled_s = (dive.now_ns - START_NS) * 1e-9
+    return settled_s, [row_of(name, diver.agent, steps[name], truth_m) for name, diver in divers.items()]
+
+
+class Step(NamedTuple):
+    """Of one robot."""
+
+    t_s: float
+    sees: bool
+    outputs: Outputs
+
+
+def row_of(name: str, agent: Agent, steps: list[Step], truth_m: Vector) -> Row:
+    """How it knows the ball, and how it came to. None: it has no estimate; nis: of its sweeps against those before, 3
+    where they scatter as they say; epochs: that its estimate went through, of a ball at rest none; first_s: when the
+    ball was in a frame of it for the first time; kept: sweeps that gave a place, some of them by another's lamp."""
+    estimator, off_m, nees = agent.measuring.current.estimator, None, None
+    if (believed := estimator.posterior) is not None:
+        off = difference(believed.x_m, truth_m)
+        weight = inverse(believed.cov_m2)
+        off_m, nees = math.hypot(*off), None if weight is None else quadratic(weight, off)
+    states = [step.outputs.state for step in steps if step.outputs.state is not None]
+    nis = {state.t: state.explain.nis for state in states if state.explain}
+    outcomes = [step.outputs.outcome for step in steps if step.outputs.outcome]
+    kept = [outcome for outcome in outcomes if outcome.x_m is not None]
+    return {
+        "error_mm": None if off_m is None else 1e3 * off_m,
+        "nees": nees,
+        "nis": mean(list(nis.values())),
+        "epochs": estimator.epoch.counter,
+        "first_s": next((step.t_s for step in steps if step.sees), None),
+        "kept": len(kept),
+        "by_lent": sum(set(outcome.lamps or ()) != {name} for outcome in kept),
+        "rejected": len(outcomes) - len(kept),
+    }
+
+
+def letters(src: str, outputs: Outputs, now_ns: int) -> list[tuple[Heard, str]]:
+    """What a robot says, and to whom."""
+    topics = (UNSET, outputs.says), ("light", outputs.said(LIGHT)), ("near", outputs.said(NEAR))
+    return [
+        (Heard(arrived_ns=now_ns, src=src, topic=topic, payload=encode(said)), said.dst)
+        for topic, letters_of in topics
+        for said in letters_of
+    ]
 
 
 def summary(rows: Rows) -> dict[str, Value]:

@@ -13,11 +13,11 @@ from typing import Any
 import msgspec
 
 from agent.core.config import ConfigError
-from agent.experiments.claim import Claim, Figure, Row, Rows, Value
+from agent.experiments.claim import Figure, Row
 from agent.process.launch import free_ports
 from agent.robot.fleet_reader import load_fleet
 from tests.bench.network.processes import in_one_line, made, used_s
-from tests.bench.timing import median_figures
+from tests.bench.timing import claim_of_medians
 from tests.network.looking.page_process import CHROMIUM, FREEZE, TAKES, Tab, fleet_on_disk, page_process
 from tests.network.looking.scripted_robots import JPEG, scripted
 from tests.waiting import until
@@ -52,15 +52,8 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
             share = (used_s(page.process.pid) - before_s) / (time.monotonic() - start_s)
             behind, picture_ms = frozen(tab)
             assert not tab.complaints, tab.complaints
-    return [
-        {
-            "server_percent": 1e2 * share,
-            "first_s": first_s,
-            "outside": len(tab.outside),
-            "behind": behind,
-            "picture_ms": picture_ms,
-        }
-    ]
+    row = {"server_percent": 1e2 * share, "first_s": first_s, "outside": len(tab.outside)}
+    return [{**row, "behind": behind, "picture_ms": picture_ms}]
 
 
 @contextlib.contextmanager
@@ -95,13 +88,8 @@ def frozen(tab: Tab) -> tuple[int, float]:
     return behind, ages[len(ages) // 2]
 
 
-def summary(rows: Rows) -> dict[str, Value]:
-    return median_figures(CLAIM.figures, rows)
-
-
-CLAIM = Claim(
+CLAIM = claim_of_medians(
     run=run,
-    summary=summary,
     settings=Settings,
     quick={"measured_s": 3.0},
     measured_on="processes",
@@ -113,7 +101,6 @@ CLAIM = Claim(
         Figure("all.picture_ms", "how old its pictures are from then on", "ms"),
     ),
     seeds=10,
-    alone=True,
     explanation="""A page shows five robots in Chromium, each with ten states and five pictures of 25 kB a second. Of
         its server, the processor time of that process alone counts. Then the page is frozen for five seconds, and
         what it takes afterwards is looked at. Medians of runs.""",

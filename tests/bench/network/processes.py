@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,11 +15,11 @@ from msgspec.structs import replace
 
 from agent.core.config import Access, ConfigError, Fleet, dump
 from agent.demo.demo import demo_fleet
-from agent.experiments.claim import Row, Share
 from agent.ground.new_fleet import make_all
 from agent.process.command import Failed
 from tests.killing import killed_after
-from tests.network.relay import refused
+from tests.network.relay import Relay, refused
+from tests.network.swarm_in_namespaces import WATCHER, Swarm
 from tests.places import ROOT
 
 TICK_HZ = os.sysconf("SC_CLK_TCK")
@@ -86,10 +87,22 @@ def resident_mb(pid: int) -> float:
     return float(line.split()[1]) / 1024.0
 
 
-def needs_hosts() -> None:
-    """Raises ConfigError where this machine gives no network namespaces, which are hosts of their own."""
+@contextmanager
+def swarm_of(count: int, secured: bool = False, guests: Sequence[str] = ()) -> Iterator[Swarm]:
+    """So many robots are started, each on a host of its own, a network namespace; guests: other hosts.
+
+    Raises ConfigError where this machine gives none.
+    """
     if (why := refused()) is not None:
         raise ConfigError(f"network namespaces are not to be had on this machine: {why}")
+    names = [f"r{k + 1}" for k in range(count)]
+    with Relay([*names, WATCHER, *guests], set(names)) as relay, tempfile.TemporaryDirectory() as folder:
+        swarm = Swarm(relay, dict.fromkeys(names, 0.0), Path(folder), secured=secured)
+        try:
+            swarm.start(*names)
+            yield swarm
+        finally:
+            swarm.stop()
 
 
 @contextmanager
@@ -99,7 +112,3 @@ def in_one_line() -> Iterator[None]:
         yield
     except AssertionError as error:
         raise Failed(" ".join(str(error).split())[:LONGEST] or "what was measured went wrong") from error
-
-
-def within(rows: Sequence[Row], key: str, most: float) -> Share:
-    return Share(sum(row[key] <= most for row in rows), len(rows))

@@ -1,8 +1,7 @@
 """What `aucamp depth-map` says of reference stacks of photographs: a rendered one, and a real one.
 
-Errors are in focus steps. The offset between the rendered stack's truth and every method's peaks, 0.3 steps, is counted
-as error. Where there is no truth: the share of blocks within one focus step of the median of the 3 x 3 around them; the
-real thing is piecewise flat.
+Errors are in focus steps; the offset between truth and every method's peaks, 0.3 steps, is counted. Where there is no
+truth: the share of blocks within a step of the median of the 3 x 3 around them; the real thing is piecewise flat.
 """
 
 from __future__ import annotations

@@ -1,8 +1,7 @@
 """Whether lost is said on real pictures: clips of fish, and clips made of them and of real buoys.
 
 Limits of the trackers were chosen in view of the clips called seen; those kept back have other fish and other cameras,
-and nothing was chosen on them. `--set camera=NAME` changes all clips as another camera would have given them
-(disturbed.py has the names).
+and nothing was chosen on them.
 """
 
 from __future__ import annotations
@@ -12,13 +11,11 @@ from pathlib import Path
 
 import msgspec
 
-from agent.core.config import ConfigError
 from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value
 from agent.perception.tracking.appearance import overlap
 from agent.perception.tracking.follow import FOLLOWED, Followed, Follower, load_box_tracker, model_files
 from agent.tools.track import score
 from tests.bench.timing import one_thread
-from tests.perception.tracking.disturbed import DISTURBANCES
 from tests.perception.tracking.later_clips import anew, kept_back
 from tests.perception.tracking.loss_clips import Clip, held_out, tuned
 from tests.places import DATA, shared
@@ -27,27 +24,21 @@ TRACKERS = {"filter": "filter", "nano": "NanoTrack"}
 CLIPS = {"seen": lambda data: chain(tuned(data), held_out(data), anew(data)), "kept-back": kept_back}
 ELSEWHERE_IOU = 0.1  # below it a box is on something else
 AGAIN_IOU = 0.3  # from it on a box is on the thing that came back
-AS_IS = "as_is"
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """What can be asked."""
 
-    camera: str = AS_IS
     clips: int | None = None  # the first ones alone
 
 
 def run(seed: int, case: str, settings: Settings) -> list[Row]:
     """A row for each clip. Raises ConfigError where the clips are absent."""
     tracker, part = case.split("-", 1)
-    cameras = {AS_IS: lambda clip: clip, **DISTURBANCES}
-    if settings.camera not in cameras:
-        raise ConfigError(f"experiment track-loss: --set camera={settings.camera}: choose from {', '.join(cameras)}")
     shared("real_water", "clips")
     files = model_files(shared("models", "nanotrack_v2")) if tracker == "nano" else None
     with one_thread():
-        clips = map(cameras[settings.camera], islice(CLIPS[part](DATA), settings.clips))
-        return [row_of(clip, follow(clip, files)) for clip in clips]
+        return [row_of(clip, follow(clip, files)) for clip in islice(CLIPS[part](DATA), settings.clips)]
 
 
 def follow(clip: Clip, files: tuple[Path, ...] | None) -> list[Followed]:

@@ -1,8 +1,4 @@
-"""Whether enhancement leaves warm buoys warm: marked balls of real pictures, seen by each way.
-
-Of the pixels inside the marks of red, orange and yellow balls those count that are warm and vivid after plain white
-balance; kept are those that are still warm.
-"""
+"""Whether enhancement leaves warm buoys warm: marked balls of real pictures, seen by each way."""
 
 from __future__ import annotations
 

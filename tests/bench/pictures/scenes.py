@@ -14,8 +14,6 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from tests.places import shared
-
 SIZE, FRAMES = 400, 30
 MARGIN = 24  # pixels beyond each border
 DRAWN = SIZE + 2 * MARGIN
@@ -56,8 +54,8 @@ def render(farther: str, nearer: str, outline: str, gap: float, seed: int, noise
 
 
 def texture(kind: str, rng: np.random.Generator) -> Array:
-    """(DRAWN, DRAWN) of mean 0 and standard deviation 1. `photograph` needs the shared data."""
-    made = photograph(rng) if kind == "photograph" else leaves(rng) if kind == "leaves" else noise(rng, POWERS[kind])
+    """(DRAWN, DRAWN) of mean 0 and standard deviation 1."""
+    made = leaves(rng) if kind == "leaves" else noise(rng, POWERS[kind])
     return (made - made.mean()) / max(made.std(), 1e-3)
 
 
@@ -79,17 +77,6 @@ def leaves(rng: np.random.Generator) -> Array:
         cv2.circle(wide, centre.tolist(), round(radius), float(rng.normal()), -1)
     part = cv2.GaussianBlur(wide, (0, 0), 0.6)[DRAWN // 2 : -DRAWN // 2, DRAWN // 2 : -DRAWN // 2]
     return part.astype(float)
-
-
-def photograph(rng: np.random.Generator) -> Array:
-    """A piece of one of the shared photographs, at random; few are large enough for the margin, so that is mirrored."""
-    paths = sorted(shared("underwater_pairs", "reference").iterdir())
-    while True:
-        grey = cv2.imread(str(paths[rng.integers(len(paths))]), cv2.IMREAD_GRAYSCALE)
-        if grey is not None and min(grey.shape) > SIZE:
-            top, left = (rng.integers(side - SIZE) for side in grey.shape)
-            piece = grey[top : top + SIZE, left : left + SIZE].astype(float)
-            return np.pad(piece, MARGIN, mode="reflect")
 
 
 OUTLINES = ("straight", "slanted", "round", "bars")

@@ -38,8 +38,10 @@ class Score(NamedTuple):
 def score(found: DepthMap, truth: Array, span: float) -> Score:
     """truth (height, width) in lens positions; span: of the sweep, lens positions."""
     side, (rows, cols) = found.block_px, found.blocks.reason.shape
-    true, jump = tiles(truth, side, rows, cols), tiles(jumps(truth, 1.0), side, rows, cols).any(axis=-1)
-    across, plain = jump & (minor_share(true) >= MINOR), ~jump
+    true, jumps = tiles(truth, side, rows, cols), np.hypot(*np.gradient(truth)) > 0.5
+    upper = (true > (true.min(axis=-1) + true.max(axis=-1))[..., None] / 2).mean(axis=-1)  # of the middle of depths
+    jump = tiles(jumps, side, rows, cols).any(axis=-1)
+    across, plain = jump & (np.minimum(upper, 1 - upper) >= MINOR), ~jump
     bad = wrong(found.blocks, true, across, span)
     n, used = found.along, found.used_parts()
     part_bad = np.zeros_like(used)
@@ -65,17 +67,6 @@ def wrong(found: GridPeaks, true: Array, across: Array, span: float) -> Array:
     away = np.abs(true - found.lens_position[..., None])
     far = ~(away <= np.maximum(3 * found.sigma, FAR * span)[..., None])  # of nothing everything is far
     return found.accepted & (far.all(axis=-1) | across & (far.mean(axis=-1) >= MINOR))
-
-
-def minor_share(true: Array) -> Array:
-    """Share of the pixels (..., pixels) on the smaller side of the middle of their depths."""
-    upper = (true > (true.min(axis=-1) + true.max(axis=-1))[..., None] / 2).mean(axis=-1)
-    return np.minimum(upper, 1 - upper)
-
-
-def jumps(depth: Array, least: float) -> Array:
-    """Where depth changes by more than `least` from pixel to pixel."""
-    return np.hypot(*np.gradient(depth)) > least / 2
 
 
 def tiles(pixels: Array, side: int, rows: int, cols: int) -> Array:

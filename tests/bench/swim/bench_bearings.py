@@ -1,7 +1,6 @@
 """How well three cameras' bearings follow the twin's fish, and for how long it is known unseen.
 
-Cameras stand where they see it all the time, ten times a second, and err by 3 mrad white; poses are known. The fish
-turns by the twin's law, the track believes another one: that it keeps a course for `turn_s`.
+Cameras err by 3 mrad white. The fish turns by the twin's law; the track believes that it keeps a course for `turn_s`.
 """
 
 from __future__ import annotations

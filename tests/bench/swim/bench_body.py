@@ -15,7 +15,7 @@ from agent.core.config import Behaviour, Fleet, Goto, Pose, Trial
 from agent.core.ranging.camera_model import BodyFit
 from agent.experiments.claim import Claim, Figure, Row, Rows, Value, rms
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.basin import START_NS, TwinBodies, twin_bodies
+from agent.experiments.navigation.basin import START_NS, twin_bodies
 from agent.experiments.navigation.manoeuvres import settled_s
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.process.command import Failed
@@ -28,12 +28,7 @@ SPEED_M_S, RATE_RAD_S = 0.2, 0.6  # at which drags are compared: two that share 
 MIDDLE = Pose(x_m=1.5, y_m=1.0, yaw_deg=0.0)
 FROM, TO = Pose(x_m=1.25, y_m=1.0, yaw_deg=0.0), Goto(x_m=1.75, y_m=1.0, yaw_deg=0.0)
 NEAR_M = 0.02
-CONSTANTS = {
-    "mass_kg": "mass",
-    "inertia_kgm2": "inertia",
-    "drag_n": "drag at 0.2 m/s",
-    "turn_drag_nm": "drag of a turn",
-}
+CONSTANTS = {"mass_kg": "mass", "inertia_kgm2": "inertia", "drag_n": "drag at 0.2 m/s", "turn_drag_nm": "turn drag"}
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
@@ -56,7 +51,8 @@ def swum(seed: int, legs: int) -> tuple[body_calibration.Trial, dict[str, float]
             events.update(dict.fromkeys(swimmer.localizer.events))
             progress = swimmer.active.progress
             if progress is not None:
-                given.append(planar_n(bodies))
+                f = bodies._dive.states["thrust_n"][0, 4:]  # of the flat thrusters: N ahead, N left, N m
+                given.append((-np.sum(np.sin(RING_RAD) * f), np.sum(np.cos(RING_RAD) * f), RING_M * np.sum(f)))
                 asked.append(swimmer.localizer.at(one.now_ns).force)
                 if progress.stage.leg >= legs:
                     break
@@ -75,12 +71,6 @@ def swum(seed: int, legs: int) -> tuple[body_calibration.Trial, dict[str, float]
         "turn_drag_nm": (body["linear_drag"][5] * r + body["quadratic_drag"][5] * r * r) / twist,
     }
     return body_calibration.Trial(tuple(sorted(events)), False), {key: float(value) for key, value in truth.items()}
-
-
-def planar_n(bodies: TwinBodies) -> tuple[float, float, float]:
-    """What the flat thrusters give: N ahead, N left, N m."""
-    f = bodies._dive.states["thrust_n"][0, 4:]
-    return -float(np.sum(np.sin(RING_RAD) * f)), float(np.sum(np.cos(RING_RAD) * f)), RING_M * float(np.sum(f))
 
 
 def fitted(fit: BodyFit) -> dict[str, float]:
@@ -121,10 +111,8 @@ def summary(rows: Rows) -> dict[str, Value]:
     of = {key: [row[key] for row in rows["all"]] for key in rows["all"][0]}
     found: dict[str, Value] = {key: 1e2 * rms(of[key]) for key in CONSTANTS}
     found["mass_sigmas"] = rms(of["mass_sigmas"])
-    for name in ("usual", "calibrated"):
-        found[f"{name}_overshoot_mm"] = math.fsum(of[f"{name}_overshoot_mm"]) / len(of[f"{name}_overshoot_mm"])
-        seconds = of[f"{name}_s"]
-        found[f"{name}_s"] = None if None in seconds else math.fsum(seconds) / len(seconds)
+    for key in ("usual_overshoot_mm", "usual_s", "calibrated_overshoot_mm", "calibrated_s"):
+        found[key] = None if None in of[key] else math.fsum(of[key]) / len(of[key])
     return found
 
 

@@ -1,7 +1,6 @@
 """How still a robot holds its yaw with a gyro and without, while a tether pulls by 0.05 N rms.
 
-The twin's body under the board's own firmware, before a wall of tags that are drawn, not rendered. A seed is a body and
-its water; with a gyro and without, it is the same.
+The twin's body under the board's own firmware, before a wall of tags that are drawn, not rendered.
 """
 
 from __future__ import annotations

@@ -10,10 +10,9 @@ from msgspec.structs import replace
 from agent.capabilities.light.light_request import SHOWS_SIDE
 from agent.core.config import Fleet, Follow, Lighting, Look, Pose, Search, Target
 from agent.core.messages import Vector
-from agent.experiments.following_dive import LENGTH_M, DrawnFish
+from agent.experiments.following_dive import LENGTH_M, DrawnFish, Wanderer
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import PlanarBodies
-from agent.experiments.navigation.pursuit import Wanderer
 from hw.twin.scene import generator
 from tests.capabilities.light.dark_water import DarkWater
 from tests.capabilities.light.lit_swarm import HARBOUR

@@ -12,11 +12,12 @@ from agent.capabilities.swim.behaviour import COAST_NS, LEGS, Spin, Stage, place
 from agent.capabilities.swim.search import ANYWHERE_M, GIMBAL_RAD, SEEN_NS, SPEED_NS, Surroundings, known
 from agent.capabilities.swim.swim import swimmer_of
 from agent.core.config import Follow, Look, Navigation, Pose, Search, Trial
+from agent.core.estimation.interface import Posterior, Update, Word
 from agent.core.linear_algebra import wrap
 from agent.core.target_state import TargetEstimate
+from agent.experiments.following_dive import Wanderer
 from agent.experiments.navigation import basin
-from agent.experiments.navigation.basin import PlanarBodies
-from agent.experiments.navigation.pursuit import ToldEstimator, Wanderer
+from agent.experiments.navigation.basin import START_NS, PlanarBodies
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.robot.fleet_reader import broken_swim_rules
 from tests.capabilities.swim.swimming_agent import CALIBRATION, InTank, fleet
@@ -139,21 +140,51 @@ def test_told_to_it_searches_for_a_target_that_nobody_knows_and_follows_again() 
 
 # --- whole ---------------------------------------------------------------------------------------------------------
 
+NOISE_M, NOISE_M_S, NEWS_S, LATE_S = 0.015, 0.03, 0.2, 0.15  # a track by bearings of three robots in this basin
+
+
+class ToldEstimator:
+    """An agreed track as bearings at frame rate make it: late, noisy, the same for all robots."""
+
+    def __init__(self, wanderer, now_ns, seed):
+        self.t, self.valid = 0, True
+        self._wanderer, self._now_ns, self._seed = wanderer, now_ns, seed
+
+    @property
+    def posterior(self):
+        """Where it is by what was seen LATE_S ago, carried on by its speed."""
+        block = round((self._now_ns() - START_NS) * 1e-9 / NEWS_S - 0.5)
+        seen_ns = START_NS + round((block * NEWS_S - LATE_S) * 1e9)
+        rng = np.random.default_rng((self._seed, max(block, 0)))
+        (x, y, z), (to_x, to_y, _) = self._wanderer.at(seen_ns), self._wanderer.at(seen_ns + STEP_NS)
+        vx, vy = (way / TRIAL_S + float(rng.normal(0.0, NOISE_M_S)) for way in (to_x - x, to_y - y))
+        x, y = (at + float(rng.normal(0.0, NOISE_M)) for at in (x, y))
+        since_s = (self._now_ns() - seen_ns) * 1e-9
+        m2 = NOISE_M * NOISE_M + (NOISE_M_S * since_s) ** 2
+        return Posterior(
+            (x + since_s * vx, y + since_s * vy, z), (m2, 0.0, 0.0, m2, 0.0, m2), (vx, vy, 0.0), self._now_ns()
+        )
+
+    def trust(self, keys): ...
+    def adopt(self, t): ...
+    def by_others(self): ...
+
+    def hear(self, letter):
+        return ()
+
+    def tick(self, prior, cache, now_ns):
+        self.t += 1
+        return Update(self.t, "told", 0.0, ())
+
+    def say(self, to, now_ns):
+        return Word(None, None)
+
 
 def test_three_of_them_surround_a_target_that_wanders() -> None:
     """On one side of it at first; planar bodies, tags drawn, the target told as bearings would."""
     names = ("r1", "r2", "r3")
-    robots = {
-        name: basin.robot(
-            name,
-            Pose(x_m=0.7 + 0.5 * k, y_m=0.5, yaw_deg=90.0),
-            WHAT,
-            Look(tilt_deg=-10.0),
-            tuple(other for other in names if other != name),
-        )
-        for k, name in enumerate(names)
-    }
-    fleet = basin.fleet(robots, 5)
+    poses = [Pose(x_m=0.7 + 0.5 * k, y_m=0.5, yaw_deg=90.0) for k in range(3)]
+    fleet = basin.linked(poses, 5, Look(tilt_deg=-10.0), [WHAT] * 3)
     bodies = PlanarBodies(fleet)
     swimmers, fish = Swimmers(fleet, bodies), Wanderer(np.random.default_rng(5), 0.15, 20.0)
     for agent in swimmers.agents.values():

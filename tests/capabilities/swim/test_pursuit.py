@@ -14,9 +14,9 @@ from agent.core.estimation.protocols import PURSUIT_S, iteration_ns, pursued
 from agent.core.estimation.track import ROLLING, swimming
 from agent.core.ranging.focus import h
 from agent.core.target_state import grown
+from agent.experiments.following_dive import Wanderer
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import START_NS, PlanarBodies
-from agent.experiments.navigation.pursuit import Wanderer
 from agent.experiments.navigation.swimmers import FOCUS, Swimmers
 
 S = 1_000_000_000
