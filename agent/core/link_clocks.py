@@ -155,7 +155,9 @@ class OriginClocks(Revertible):
         old = self._offsets.get(origin)
         if old is None or (direct and not old.direct):
             new = Offset(said_ns, bound_ns, now_ns, direct)
-        elif bound_ns < old.bound_ns and abs(said_ns - old.offset_ns) <= old.bound_ns + AGREE_NS:
+        elif (
+            direct == old.direct and bound_ns < old.bound_ns and abs(said_ns - old.offset_ns) <= old.bound_ns + AGREE_NS
+        ):
             new = Offset(said_ns, bound_ns, now_ns, old.direct)
         else:
             elapsed_ns = max(0, now_ns - old.at_ns)

@@ -31,6 +31,7 @@ Id = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Count = Annotated[int, Meta(ge=0)]
 Signature = Annotated[bytes, Meta(max_length=64)]
 Level = Literal["info", "warning", "error"]
+Verdict = Literal["consistent", "suspect", "contradicted", "missing"]
 Mode = Literal["running", "degraded", "stopped", "failed"]
 
 NUMBER = "which edition of these schemas; a robot believes its own alone"
@@ -90,6 +91,9 @@ class Entry(msgspec.Struct, frozen=True, array_like=True):
         Symmetric, means("mean over the samples of what does not average out, m^2: xx xy xz yy yz zz")
     ]
     signature: Annotated[Signature, means(SIGNED)] = b""
+    lever_m: Annotated[
+        Vector, means("mean over the samples of the way from the camera to the target, m, world frame")
+    ] = (0.0, 0.0, 0.0)
 
 
 class Sample(msgspec.Struct, frozen=True, array_like=True):
@@ -169,6 +173,11 @@ class Estimate(Message, frozen=True, kw_only=True):
     common: Annotated[
         str, Meta(max_length=16), means("digest of what all fleet files have to share; empty: not said")
     ] = ""
+    missed: Annotated[
+        float,
+        Meta(ge=0),
+        means("nats: -log of the probability to see nothing as it did, were the target where it is believed to be"),
+    ] = 0.0
     echo: Annotated[
         tuple[Count, Count] | None,
         means(
@@ -250,6 +259,10 @@ class Explain(Message, frozen=True, kw_only=True):
         Vector | UnsetType | None,
         means("by which the target may have moved, m, world frame, while nobody knows; null: it is settled"),
     ] = UNSET
+    stretch: Annotated[
+        tuple[float, float] | UnsetType | None,
+        means("by which share all ranges are long, and its sigma, of three robots and more; null: fewer"),
+    ] = UNSET
     sway_m: Annotated[
         dict[str, float],
         means("protocol `evidence`: m, from the posterior to where it would be without this origin"),
@@ -289,6 +302,8 @@ class State(Message, frozen=True, kw_only=True):
     incarnation: Annotated[Count, means("which of its starts this is: Unix time of it, ns")]
     seq: Annotated[Count, means("counts its states about this target")]
     sent_ns: Annotated[Count, means(SENT)]
+    verdict: Annotated[Verdict, means("whether what it believes of the target can be trusted")] = "consistent"
+    causes: Annotated[tuple[str, ...], means("why not, the worst first; empty: consistent")] = ()
     mode: Annotated[
         Mode, means("running; degraded: a step broke of late; stopped: ended as planned; failed: ended by a fault")
     ] = "running"

@@ -19,8 +19,10 @@ from agent.core.estimation.track import outer
 from agent.core.linear_algebra import IDENTITY, apply, inner, invert, minus, plus, times, trace
 from agent.core.messages import Estimate, State, Symmetric, Vector
 from agent.core.step_transaction import Revertible
+from agent.core.verdict import Consistency
 
 Knows = Literal["blind", "told", "sees"]
+SEEN = 0.9  # of the frames that show the whole target, at a range that the lens reaches, the target is found in
 HELD = 2  # iterations in a row: where the camera is slow, every other sweep comes too late, which is no change
 
 
@@ -62,11 +64,19 @@ class TargetState(Revertible):
         self._news: Knows = "blind"  # what was last reported of `knows`
         self._seen_ns: int | None = None  # when a robot was last known to measure it
         self.last_state: State | None = None
+        self.consistency = Consistency(robot)
+        self._missed, self._looked_ns = 0.0, 0  # nats, and the exposure of the newest look that counted
 
     def measure(self, prior: Prior) -> None:
         """A sweep gave a position."""
         self.prior = self.measured = prior
         self.measurements += 1
+
+    def looked(self, found: bool, t_ns: int) -> None:
+        """A frame of where the target is believed to be shows it, or does not."""
+        since_s = min(max((t_ns - self._looked_ns) * 1e-9, 0.0), 1.0)  # misses of neighbouring frames are one miss
+        self._missed = 0.0 if found else self._missed - math.log(1.0 - SEEN) * since_s
+        self._looked_ns = t_ns
 
     def observe(self, bearing: Bearing | None) -> None:
         """A bearing for the next iteration."""
@@ -97,6 +107,10 @@ class TargetState(Revertible):
             self.update = self.estimator.tick(self.bearing, self.cache, now_ns)
         else:
             self.update = self.estimator.tick(self.prior, self.cache, now_ns)
+        self.consistency.update(self.update.explain, self.prior is None, now_ns)
+        if self.estimator.valid or self.cache.usable(now_ns, self._validity_ns):
+            self._seen_ns = now_ns
+        self.consistency.missed({self._robot: self._missed, **self.cache.missed(now_ns)}, self._seen_ns, now_ns)
         self.prior = self.bearing = None
         knew, self.knows = self.knows, "blind"
         if self.estimator.valid:
@@ -130,6 +144,7 @@ class TargetState(Revertible):
             valid=self.estimator.valid,
             common=self._common,
             echo=self.cache.echo(neighbour, now_ns),
+            missed=self._missed,
             **word._replace(cov_m2=sayable(word.cov_m2, self._tank_m))._asdict(),
         )
 

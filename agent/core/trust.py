@@ -36,9 +36,9 @@ SIGNATURE_BYTES = 64
 def entry_bytes(fleet: str, target: str, epoch: Epoch, entry: Entry) -> bytes:
     """What the origin of an entry signs."""
     when = [epoch.counter, epoch.moving, epoch.proposer]
-    sums = [_floats(entry.information), _floats(entry.vector), _floats(entry.systematic_m2)]
+    sums = [_floats(of) for of in (entry.information, entry.vector, entry.systematic_m2, entry.lever_m)]
     who = [entry.origin, entry.incarnation, entry.count]
-    return bytes(msgpack.packb(["aucamp.entry.1", fleet, target, when, *who, *sums]))
+    return bytes(msgpack.packb(["aucamp.entry.2", fleet, target, when, *who, *sums]))
 
 
 def sample_bytes(fleet: str, target: str, epoch: Epoch, sample: Sample) -> bytes:

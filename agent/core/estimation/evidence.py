@@ -27,7 +27,7 @@ from functools import partial
 from msgspec.structs import replace
 
 from agent.core.estimation.evidence_table import Bounds, Key, Table, entry_fault, floored, mark
-from agent.core.estimation.fuse import Fused, fuse
+from agent.core.estimation.fuse import Fused, fuse, stretch
 from agent.core.estimation.interface import NOTHING, Bearing, EstimateCache, Posterior, Prior, Update, Word
 from agent.core.estimation.modes import Conclusion, DeliveryLedger, Me, Mode, outliving
 from agent.core.estimation.motion import ALARM, Innovation, Motion
@@ -396,7 +396,8 @@ class StaticTarget(Revertible):
         )
 
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
-        fused = fuse(self._table.opinions(), self._me.common_m2, self._me.liars)
+        opinions = self._table.opinions()
+        fused = fuse(opinions, self._me.common_m2, self._me.liars)
         if fused is None:
             return Conclusion(before, "hold", 0.0, Explain(status="none", epoch=self._epoch))
         alpha = self._gain * fused.shares.get(self._me.key[0], 0.0) if valid else 0.0
@@ -408,6 +409,7 @@ class StaticTarget(Revertible):
             epoch=self._epoch,
             nis=self._nis if valid else None,
             sway_m=fused.sway_m,
+            stretch=stretch([opinion for opinion in opinions if fused.factors[opinion.origin] > 0.0]),
         )
         if fused.verdict == "ambiguous":
             return Conclusion(self._alone(valid) or before or _agreed(fused), "ambiguous", alpha, explain)

@@ -23,6 +23,7 @@ class Prior(NamedTuple):
     random_m2: Symmetric  # covariance of what averages out over measurements
     t_ns: int  # when the sharpest frame was exposed
     systematic_m2: Symmetric = NOTHING  # of what does not: the same error in every measurement of this robot
+    lever_m: Vector = (0.0, 0.0, 0.0)  # from the camera to there, world frame
 
     @property
     def cov_m2(self) -> Symmetric:
@@ -99,6 +100,7 @@ class Estimator(Protocol):
 # --- cache ---
 # What neighbours said last of one target, and which of them can be used.
 
+HEARD_S = 2.0  # a neighbour's word of what it does not see holds for so long
 LATEST_T = 10**8  # iterations; a year has a third of it at one a second
 
 
@@ -130,6 +132,12 @@ class EstimateCache(MessageCache[Estimate]):
         """How old the newest message of each neighbour is; those that never spoke are left out."""
         ages_ns = {name: self.age_ns(name, now_ns) for name in self.senders}
         return {name: age_ns * 1e-9 for name, age_ns in ages_ns.items() if age_ns is not None}
+
+    def missed(self, now_ns: int) -> dict[str, float]:
+        """What neighbours heard of late say of looks at where the target should be; see messages.Estimate."""
+        fresh = {name for name, age_s in self.ages_s(now_ns).items() if age_s <= HEARD_S}
+        newest = {name: sender.newest for name, sender in self.senders.items() if name in fresh}
+        return {name: letter.message.missed for name, letter in newest.items() if letter is not None}
 
     def swarm_t(self, now_ns: int, validity_ns: int) -> int:
         """The iteration that the swarm has reached: the second largest of neighbours heard of late, for one of them may
