@@ -27,6 +27,7 @@ LONG = 3.5  # sigma, of a factor that all ranges have in common
 
 # Misses are counted in nats: -log of the probability to see nothing though it is there.
 MISSED = 3.0  # one in twenty
+SEES_NS = 1_000_000_000  # who found it so lately sees it
 FOUND_NS, ALONE_NS = 8_000_000_000, 20_000_000_000  # nobody found it for so long: two robots missed it; one did
 
 
@@ -111,7 +112,7 @@ class Consistency(Revertible):
             self._put("missed", "missing", f"{', '.join(who)} look where it was and do not see it", now_ns)
         elif who and unseen_ns >= FOUND_NS:
             self._put("missed", "suspect", f"{who[0]} looks where it was and does not see it", now_ns)
-        elif len(who) >= 2 and unseen_ns < KEEPS_NS:
+        elif len(who) >= 2 and unseen_ns < SEES_NS:
             self._put("missed", "contradicted", f"{', '.join(who)} do not see it where another does", now_ns)
 
     def _raise(self, kind: str, value: float, limits: tuple[float, float], text: str, now_ns: int) -> None:

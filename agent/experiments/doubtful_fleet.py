@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from agent.core.config import Estimation, Fleet, Pose, Robot, Tank, Target
 from agent.core.estimation.interface import Prior
 from agent.core.linear_algebra import upper
-from agent.core.messages import Estimate, Vector
+from agent.core.messages import Estimate, Vector, Verdict
 from agent.core.target_state import TargetState
 
-STEP_NS, SAY_STEPS = 50_000_000, 2  # robots speak at 10 Hz
+STEP_NS, SAY_STEPS, LOOK_STEPS = 50_000_000, 2, 10  # robots speak at 10 Hz, and look at 2 Hz
 START_NS = 10**18
 TANK_M = (3.0, 2.0, 1.0)
 MIDDLE_M = np.array([1.5, 1.0, 0.4])
@@ -62,6 +62,8 @@ class Case(NamedTuple):
     clock_s: Callable[[int, float], float] = right_clock  # by which the clock of robot i is ahead
     loss: float = 0.0
     hidden: Callable[[int, float], bool] = never  # whether robot i does not see it though it is there
+    long: tuple[float, ...] = ()  # by which share the ranges of each robot are long; beyond: 0
+    spread_rad: float = 2.0 * math.pi  # over which the robots stand around the target
     offset_m: Callable[[int, float], Array] | None = None  # what robot i has wrong, and does not know of
 
 
@@ -73,7 +75,8 @@ class Belief(NamedTuple):
     error_m: float | None  # None: it knows nothing, or the target is gone
     sigma_m: float | None  # root of the trace
     nees: float | None
-    state: TargetState
+    verdict: Verdict
+    causes: tuple[str, ...]
 
 
 def dive(case: Case, seconds: float, seed: int) -> Iterator[Belief]:
@@ -81,7 +84,7 @@ def dive(case: Case, seconds: float, seed: int) -> Iterator[Belief]:
     rng, random = np.random.default_rng((seed, 49)), Random(seed)
     names = [f"r{k}" for k in range(len(case.sees))]
     fleet = fleet_of(case, names)
-    stands = stand(len(names))
+    stands, long = stand(len(names), case.spread_rad), (*case.long, *[0.0] * len(names))
     stays = rng.normal(0.0, STAYS_M, (len(names), 3))
     clocks = [lambda ns, i=i: START_NS + ns + round(case.clock_s(i, ns * 1e-9) * 1e9) for i in range(len(names))]
     states = [TargetState(fleet, name, "it", clocks[k](0)) for k, name in enumerate(names)]
@@ -99,13 +102,17 @@ def dive(case: Case, seconds: float, seed: int) -> Iterator[Belief]:
             now_ns = clocks[i](ns)
             if s >= due_s[i] + LATE_S:
                 if case.sees[i] and not case.hidden(i, due_s[i]) and (at := case.path(due_s[i])) is not None:
-                    off = stays[i] + (0.0 if case.offset_m is None else case.offset_m(i, due_s[i]))
+                    off = stays[i] + long[i] * (at - stands[i])
+                    off = off if case.offset_m is None else off + case.offset_m(i, due_s[i])
                     state.measure(sample(at, stands[i], off, clocks[i](round(due_s[i] * 1e9)), rng))
                 due_s[i] += case.period_s
             if ns - iterated[i] >= iteration_ns or (state.prior is not None and ns - iterated[i] >= iteration_ns // 2):
                 iterated[i] = ns
                 state.catch_up(now_ns)
                 state.iterate(now_ns)
+        for i, state in enumerate(states) if step % LOOK_STEPS == 0 else ():
+            if case.sees[i] and state.estimator.posterior is not None:
+                state.looked(case.path(s) is not None and not case.hidden(i, s), clocks[i](ns))
         for i, state in enumerate(states) if step % SAY_STEPS == 0 else ():
             for neighbour in fleet.robot[names[i]].neighbours:
                 sent += 1
@@ -124,17 +131,18 @@ def sample(at: Array, stand_m: Array, off_m: Array, t_ns: int, rng: np.random.Ge
     along = np.outer(ray, ray) / float(ray @ ray)
     random_m2 = ALONG_M**2 * along + ACROSS_M**2 * (np.eye(3) - along)
     x, y, z = (at + off_m + np.linalg.cholesky(random_m2) @ rng.standard_normal(3)).tolist()
-    return Prior((x, y, z), upper(random_m2), t_ns, upper(STAYS_M**2 * np.eye(3)))
+    u, v, w = ray.tolist()
+    return Prior((x, y, z), upper(random_m2), t_ns, upper(STAYS_M**2 * np.eye(3)), (u, v, w))
 
 
 def belief(state: TargetState, robot: int, s: float, now_ns: int, truth_m: Array | None) -> Belief:
-    known = state.estimate(now_ns)
+    known, told = state.estimate(now_ns), state.consistency.verdict(now_ns)
     if known is None or truth_m is None:
-        return Belief(s, robot, None, None, None, state)
+        return Belief(s, robot, None, None, None, *told)
     xx, xy, xz, yy, yz, zz = known.cov_m2
     e, P = np.array(known.x_m) - truth_m, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     nees = float(e @ np.linalg.solve(P, e))
-    return Belief(s, robot, float(np.linalg.norm(e)), math.sqrt(xx + yy + zz), nees, state)
+    return Belief(s, robot, float(np.linalg.norm(e)), math.sqrt(xx + yy + zz), nees, *told)
 
 
 def stand(robots: int, spread_rad: float = 2.0 * math.pi) -> Array:

@@ -44,6 +44,7 @@ CLAIMS: dict[str, Entry] = {
     "demo": Entry(E + "demo", "robots find a target together, as `aucamp demo` has them", DEMO, ("agent/fleets",)),
     "localization": Entry(E + "localization.localization", "protocols against the Cramer-Rao bound", DEMO),
     "liar": Entry(S + "liar.claim", "how far robots that lie as well as they can move the others", WRONG),
+    "doubt": Entry(E + "doubt", "what a fleet notices of what is wrong, and what it says", WRONG),
     "tag-fix": Entry(E + "navigation.tag_fix", "where a robot is, by the tags of one frame", SWIM),
     "manoeuvres": Entry(E + "navigation.manoeuvres", "one robot holds, goes, turns and orbits", SWIM),
     "around-ball": Entry(E + "navigation.around_ball", "robots cross, locate a ball, and are aided by it", SWIM),
