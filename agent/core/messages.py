@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
-SCHEMA = 2  # raised whenever the meaning of a field changes; robots refuse others, replay reads older ones too
+SCHEMA = 3  # raised whenever the meaning of a field changes; robots refuse others, replay reads older ones too
 
 MAX_PAYLOAD = 16 * 1024  # bytes of any message but a preview; refused before it is decoded
 MAX_TEXT = 400  # characters of a line of the log

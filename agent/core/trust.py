@@ -365,7 +365,7 @@ class MessageCache(Revertible, Generic[M]):
         transit_ns = arrived_ns - message.sent_ns
         late_ns, clock = self._transit[src].late_ns(transit_ns, arrived_ns), self._clocks[src]
         clock.hear(self._echo_of(message), transit_ns, arrived_ns)
-        letter = CachedMessage(message, arrived_ns, late_ns, clock.way(transit_ns))
+        letter = CachedMessage(message, arrived_ns, late_ns, self._way(message, clock.way(transit_ns), late_ns))
         self.senders[src] = sender._replace(heard=sender.heard + 1, newest=letter, fallen=(0, 0))
         return letter
 
@@ -387,6 +387,10 @@ class MessageCache(Revertible, Generic[M]):
     def _echo_of(self, message: M) -> tuple[int, int] | None:
         """What a message echoes, of the kinds that do."""
         return None
+
+    def _way(self, message: M, known: Way | None, late_ns: int) -> Way | None:
+        """How long a message took; known: by the clock of the link."""
+        return known
 
     def _addressed(self, message: M) -> bool:
         """Whether it is meant for us."""

@@ -18,8 +18,8 @@ from agent.core.step_transaction import Revertible
 ORDER: tuple[Verdict, ...] = ("consistent", "suspect", "contradicted", "missing")
 KEEPS_NS = 5_000_000_000
 
-NEWEST, FEWEST = 30, 10  # own samples whose scatter is judged
-SCATTERS = (1.5, 3.0)  # their mean NIS in units of its expectation: suspect, contradicted
+NEWEST, FEWEST = 30, 20  # own samples whose scatter is judged
+SCATTERS = (1.8, 3.0)  # their mean NIS in units of its expectation: suspect, contradicted
 SWEEPS, FEWEST_SWEEPS = 20, 5
 REFUSED = (0.1, 0.5)  # share of sweeps in which focus and size contradict each other
 APART = (3.0, 6.0)  # sigma, of the ratio of both ranges

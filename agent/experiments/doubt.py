@@ -10,7 +10,7 @@ import msgspec
 import numpy as np
 
 from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value, percentile
-from agent.experiments.doubtful_fleet import BALL, FISH, Belief, Case, dive, moved_at, rests, swims
+from agent.experiments.doubtful_fleet import BALL, FISH, MIDDLE_M, Array, Belief, Case, dive, moved_at, rests, swims
 
 WRONG_S = 40.0  # from then on something is wrong, where it is not so from the start
 NOTICED_S = 10.0  # so long it may go unnoticed
@@ -38,19 +38,19 @@ def late(delay_s: float) -> Callable[[int, int, float], float]:
     return lambda i, j, s: delay_s
 
 
-def knocked(i: int, s: float) -> np.ndarray:
-    return np.array([0.06, 0.0, 0.0]) * (i == 0 and s > WRONG_S)
+def knocked(i: int, s: float) -> Array:
+    return np.array([0.06 * (i == 0 and s > WRONG_S), 0.0, 0.0])
 
 
-def gone(s: float) -> np.ndarray | None:
+def gone(s: float) -> Array | None:
     return rests(s) if s < WRONG_S else None
 
 
-def creeps(s: float) -> np.ndarray:
-    return rests(s) + np.array([0.0, 1e-3 * max(s - WRONG_S, 0.0), 0.0])
+def creeps(s: float) -> Array:
+    return MIDDLE_M + np.array([0.0, 1e-3 * max(s - WRONG_S, 0.0), 0.0])
 
 
-def apart(i: int, s: float) -> np.ndarray:
+def apart(i: int, s: float) -> Array:
     return np.array([0.4 * i, 0.0, 0.0])
 
 

@@ -179,8 +179,8 @@ def _alike(newest: Entry, older: Entry) -> bool:
 
 
 def mark(entry: Entry) -> int:
-    """A checksum of what an entry says, 32 bits."""
-    return crc32(pack("<18d", *entry.information, *entry.vector, *entry.systematic_m2, *entry.lever_m))
+    """A checksum of what an entry says of the place, 32 bits."""
+    return crc32(pack("<15d", *entry.information, *entry.vector, *entry.systematic_m2))
 
 
 def _rank(entry: Entry) -> tuple[Any, ...]:

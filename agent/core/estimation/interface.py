@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
+from agent.core.link_clocks import Way
 from agent.core.messages import Estimate, Explain, Gossip, Symmetric, Vector
 from agent.core.trust import CachedMessage, MessageCache
 
@@ -101,6 +102,7 @@ class Estimator(Protocol):
 # What neighbours said last of one target, and which of them can be used.
 
 HEARD_S = 2.0  # a neighbour's word of what it does not see holds for so long
+ECHOES = 3  # the schema from which on all echo; of older recordings what was queued is all that is known
 LATEST_T = 10**8  # iterations; a year has a third of it at one a second
 
 
@@ -116,6 +118,9 @@ class EstimateCache(MessageCache[Estimate]):
 
     def _echo_of(self, message: Estimate) -> tuple[int, int] | None:
         return message.echo
+
+    def _way(self, message: Estimate, known: Way | None, late_ns: int) -> Way | None:
+        return known if message.schema >= ECHOES else Way(late_ns, 0)
 
     def usable(self, now_ns: int, validity_ns: int) -> tuple[tuple[str, Estimate], ...]:
         """N_i ∩ S^t: neighbours heard of late that see the target, in the order of their names."""
