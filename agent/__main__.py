@@ -6,6 +6,7 @@ before it was done, 130 by Ctrl-C.
 
 from __future__ import annotations
 
+import errno
 import signal
 import sys
 from typing import Annotated, Any
@@ -16,8 +17,10 @@ from typer.main import get_command
 from agent.cli import diving, experiments, ground, pictures, recordings
 from agent.core.config import ConfigError
 from agent.process.command import Failed
-from agent.process.launch import exit_with_parent, leave
+from agent.process.launch import Leaving, exit_with_parent, leave
 from hw.camera.camera import CameraError
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # what writes of a file or a pipe may end with
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -80,6 +83,9 @@ def main() -> None:
     exit_with_parent()
     try:
         sys.exit(command_line()(prog_name="aucamp", standalone_mode=False))  # else typer draws a box around its errors
+    except Leaving as leaving:
+        leaving.arrived = True
+        raise
     except typer.TyperException as error:
         sys.stderr.write(usage_error(error))
         sys.exit(2)
@@ -92,9 +98,10 @@ def main() -> None:
         sys.stderr.write(f"aucamp: {error}\n")
         sys.exit(1)
     except OSError as error:
-        if error.filename is None:
+        if error.filename is None and error.errno not in FULL:
             raise
-        sys.stderr.write(f"aucamp: {error.filename}: {error.strerror}; choose a file or folder that can be used\n")
+        what = f"{error.filename or 'the output'}: {error.strerror}"
+        sys.stderr.write(f"aucamp: {what}; choose a file or folder that can be used\n")
         sys.exit(2)
 
 

@@ -25,12 +25,12 @@ from numpy.typing import NDArray
 
 from agent.core import topics
 from agent.core.codec import READABLE, Refusal, decode
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, writing
 from agent.core.robot_view import along_axes, in_own_name, robot_view
 from agent.core.step_io import Inputs, Sighting
 from replay.check.reexecute import STEP_BYTES, BlackBox, black_boxes, open_box, recordings
 from replay.files.channels import VISION, network_topic
-from replay.files.frames import MAX_PIXELS, Frames, Picture, pixels
+from replay.files.frames import MAX_PIXELS, Film, Frames, Picture, film, pixels
 from replay.files.info import info
 from replay.files.log import read
 from replay.files.mcap_file import parts
@@ -65,10 +65,12 @@ def wanted(robot: str | None, there: Iterable[str], path: Path) -> list[str]:
 
 @contextlib.contextmanager
 def whole_or_none(out: Path) -> Iterator[None]:
-    """Take away what this block has written to `out` if it breaks off: half a file looks like a whole one."""
+    """Take away what this block has written to `out` if it breaks off: half a file looks like a whole one. An OSError
+    of the block names `out`; what reads a recording in it is to suspect that."""
     try:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        yield
+        with writing(out):
+            out.parent.mkdir(parents=True, exist_ok=True)
+            yield
     except BaseException:
         out.unlink(missing_ok=True)
         raise
@@ -214,7 +216,8 @@ def write_tables(path: Path, out: Path, robot: str | None = None) -> list[Path]:
         run = open_run(path)
         names = wanted(robot, (timeline.robot for timeline in run.timelines), path)
         out.mkdir(parents=True, exist_ok=True)
-        files = [_write(out / table.file, table) for name in names for table in tables(run, name)]
+        of_names = [table for name in names for table in tables(run, name)]
+        files = [_write(out / table.file, _suspected(table.rows, path)) for table in of_names]
     return [file for file in files if file is not None]
 
 
@@ -230,15 +233,20 @@ def tables(run: Run, robot: str) -> Iterator[Table]:
     yield Table(robot, "log", lines)
 
 
-def _write(path: Path, table: Table) -> Path | None:
-    first = next(table.rows, None)
+def _suspected(rows: Iterator[TableRow], recording: Path) -> Iterator[TableRow]:
+    with suspecting(recording):
+        yield from rows
+
+
+def _write(path: Path, rows: Iterator[TableRow]) -> Path | None:
+    first = next(rows, None)
     if first is None:
         return None
-    with path.open("w", encoding="utf-8", newline="") as file:
+    with whole_or_none(path), path.open("w", encoding="utf-8", newline="") as file:
         out = csv.DictWriter(file, list(first))
         out.writeheader()
         out.writerow(first)
-        out.writerows(table.rows)
+        out.writerows(rows)
     return path
 
 
@@ -344,29 +352,22 @@ def write_film(path: Path, out: Path, robot: str | None = None) -> int:
 
 def _film(shots: Iterator[Shot], out: Path, robot: str) -> int:
     """Each shot for as many frames as its time takes."""
-    writer: cv2.VideoWriter | None = None
     size, start_ns, due, count = (0, 0), 0, 0.0, 0
     before: Shot | None = None
-    try:
+    with film(out, FPS) as made:
         for shot in shots:
-            if writer is None or before is None:
+            if before is None:
                 start_ns, size = shot.t_ns, (shot.image.shape[1] // 2 * 2, shot.image.shape[0] // 2 * 2)
-                writer = cv2.VideoWriter(str(out), cv2.VideoWriter.fourcc(*"mp4v"), FPS, size)
-                if not writer.isOpened():
-                    raise ConfigError(f"{out}: a film cannot be written there; give --out another place")
             else:
                 due += min(max((shot.t_ns - before.t_ns) * 1e-9, 0.0), LONGEST_S) * FPS
-                count += _show(writer, before, round(due) - count, (before.t_ns - start_ns) * 1e-9, robot, size)
+                count += _show(made, before, round(due) - count, (before.t_ns - start_ns) * 1e-9, robot, size)
             before = shot
-        if writer is not None and before is not None:
-            count += _show(writer, before, 1, (before.t_ns - start_ns) * 1e-9, robot, size)
-    finally:
-        if writer is not None:
-            writer.release()
+        if before is not None:
+            count += _show(made, before, 1, (before.t_ns - start_ns) * 1e-9, robot, size)
     return count
 
 
-def _show(writer: cv2.VideoWriter, shot: Shot, times: int, t_s: float, robot: str, size: tuple[int, int]) -> int:
+def _show(made: Film, shot: Shot, times: int, t_s: float, robot: str, size: tuple[int, int]) -> int:
     if times <= 0:
         return 0
     image = shot.image if shot.image.shape[1::-1] == size else np.asarray(cv2.resize(shot.image, size), np.uint8)
@@ -375,7 +376,7 @@ def _show(writer: cv2.VideoWriter, shot: Shot, times: int, t_s: float, robot: st
     for colour, at in ((BLACK, (9, 21)), (WHITE, (8, 20))):  # a shadow: legible on any picture
         cv2.putText(image, text, at, cv2.FONT_HERSHEY_SIMPLEX, 0.5, colour, 1, cv2.LINE_AA)
     for _ in range(times):
-        writer.write(image)
+        made.add(image)
     return times
 
 

@@ -7,15 +7,25 @@ holds up every other subscription of its session.
 from __future__ import annotations
 
 import contextlib
+import fcntl
+import json
 import logging
+import os
 import re
-from collections.abc import Callable
+import socket
+import stat
+import struct
+import termios
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from types import TracebackType
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 import zenoh
 from zenoh.handlers import Callback
 
+from agent.clock import machine
 from agent.core.codec import encoding
 from agent.core.config import ConfigError
 from agent.core.messages import Message
@@ -154,7 +164,12 @@ class Session:
 
     def __enter__(self) -> Self:
         try:
-            self._session = self._open.enter_context(zenoh.open(zenoh.Config.from_json5(self._config)))
+            config = zenoh.Config.from_json5(self._config)
+            watchdog = LinkWatchdog(json.loads(self._config))
+            self._open.callback(watchdog.end)  # last: it lets go of dials, for which Zenoh waits when it closes
+            self._session = self._open.enter_context(zenoh.open(config))
+            watchdog.start(self._session)
+            self._open.callback(watchdog.hurry)
         except zenoh.ZError as error:
             for sign, remedy in REMEDIES.items():
                 if sign in str(error):
@@ -279,3 +294,127 @@ def _reply(reply: zenoh.Reply) -> Reply:
         return Reply(str(reply.ok.key_expr), reply.ok.payload.to_bytes())
     why = b"" if reply.err is None else reply.err.payload.to_bytes()
     return Reply("", b"", why.decode(errors="replace"))
+
+
+# --- links that heal ---
+# Zenoh does not survive it when a time-out cuts off the making of a link between its start of writing and its start of
+# reading: both ends list the link, and one reads nothing, for good, since it is the reader who would notice. So Zenoh's
+# own time-outs are long enough never to come, and a dial that comes to nothing is ended by its socket, as is a link
+# that is not read.
+
+LOOK_S = 0.25
+DIAL_LOOKS = 8  # 2 s: what is no link by then is ended; it is dialled again within a second
+UNREAD_LOOKS = 6  # 1.5 s in which something waits and nothing is read; the other end says four times in 2 s that it is
+UNREAD = "has a link with us that is not read"
+HURRY_S = 0.02  # between looks while the session closes
+LOCATOR = re.compile(r"t(?:cp|ls)/(?:\[([^]%]+)[^]]*]|([^:\[]+)):(\d+)")
+# Of linux: the number of an option, where bytes received stand in struct tcp_info, where an address does in
+# sockaddr_in and sockaddr_in6, and how long these are.
+SO_PEERNAME, TCP_BYTES_RECEIVED = 28, 128
+ADDRESSES = {socket.AF_INET: (slice(4, 8), 16), socket.AF_INET6: (slice(8, 24), 28)}
+
+End = tuple[str, int]  # address and port
+Ends = tuple[End | None, End | None]  # ours and theirs
+
+
+class LinkWatchdog:
+    """Ends dials that become no link and links that are not read, of one session. What other sessions of the process
+    have as a link is none of its business.
+
+    It counts looks and no time, so a process that was stopped begins where it was.
+    """
+
+    _started: ClassVar[set[LinkWatchdog]] = set()  # of all sessions of the process
+
+    def __init__(self, config: dict[str, Any]) -> None:
+        places = (config.get(part, {}).get("endpoints", ()) for part in ("listen", "connect"))
+        self._listens, self._dials = ({end[1] for end in map(_end, part) if end} for part in places)
+        self._looks: dict[tuple[Ends, str], int] = {}  # a connection and how far it was read -> looks that found it so
+        self._links: frozenset[Ends] = frozenset()
+        self._hurries, self._ends = threading.Event(), threading.Event()
+        self._thread = threading.Thread(target=self._run, name="link watchdog", daemon=True)
+
+    def start(self, session: zenoh.Session) -> None:
+        self._session = session
+        self._started.add(self)
+        self._thread.start()
+
+    def hurry(self) -> None:
+        """The session is about to close: what is no link yet is not to become one."""
+        self.links()
+        self._hurries.set()
+
+    def end(self) -> None:
+        self._ends.set()
+        if self in self._started:
+            self._thread.join()
+            self._started.remove(self)
+
+    def links(self) -> frozenset[Ends]:
+        """What the session lists, or listed before it began to close."""
+        if not self._hurries.is_set():
+            self._links = frozenset((_end(str(link.src)), _end(str(link.dst))) for link in self._session.info.links())
+        return self._links
+
+    def _run(self) -> None:
+        while not machine.wait(self._ends, HURRY_S if self._hurries.is_set() else LOOK_S):
+            try:
+                self._look()
+            except (OSError, zenoh.ZError) as error:
+                logger.info("links could not be looked at: %s", error)  # another session closes: next time
+
+    def _look(self) -> None:
+        own = self.links()
+        others = frozenset[Ends]().union(*(one.links() for one in set(self._started)))
+        before, self._looks = self._looks, {}
+        for connection, ends in _connections():
+            if ends in own:
+                state, most = _unread(connection), UNREAD_LOOKS
+            elif ends not in others and (ends[0][1] in self._listens or ends[1][1] in self._dials):
+                state, most = "no link", 0 if self._hurries.is_set() else DIAL_LOOKS
+            else:
+                continue
+            looks = before.get((ends, state), 0) + 1
+            if state and looks <= most:
+                self._looks[ends, state] = looks
+            elif state:
+                with contextlib.suppress(OSError):  # it has just gone
+                    connection.shutdown(socket.SHUT_RDWR)
+                if ends in own:
+                    logger.warning("%s:%d %s; it is ended, and made anew", *ends[1], UNREAD)
+
+
+def _connections() -> Iterator[tuple[socket.socket, tuple[End, End]]]:
+    """Each TCP connection of this process, those that are being dialled too, for as long as it is looked at."""
+    for entry in Path("/proc/self/fd").iterdir():
+        try:
+            if not stat.S_ISSOCK(os.fstat(int(entry.name)).st_mode):
+                continue  # of a file not even a copy may be closed: its locks would go
+            connection = socket.socket(fileno=os.dup(int(entry.name)))
+        except OSError:  # closed meanwhile
+            continue
+        with connection, contextlib.suppress(OSError):  # one that listens has no other end
+            if connection.type == socket.SOCK_STREAM and connection.family in ADDRESSES:
+                host, port = connection.getsockname()[:2]
+                yield connection, ((host.partition("%")[0], port), _peer(connection))
+
+
+def _unread(connection: socket.socket) -> str:
+    """How far it was read, where something waits to be read; else empty."""
+    (waits,) = struct.unpack("i", fcntl.ioctl(connection, termios.FIONREAD, bytes(4)))
+    told = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, TCP_BYTES_RECEIVED + 8)
+    return f"read to {struct.unpack_from('Q', told, TCP_BYTES_RECEIVED)[0] - waits}" if waits else ""
+
+
+def _peer(connection: socket.socket) -> End:
+    """The other end, which getpeername() would not tell of a dial that is under way."""
+    address, size = ADDRESSES[connection.family]
+    raw = connection.getsockopt(socket.SOL_SOCKET, SO_PEERNAME, size)
+    return socket.inet_ntop(connection.family, raw[address]), int.from_bytes(raw[2:4], "big")
+
+
+def _end(locator: str) -> End | None:
+    """tcp/HOST:PORT or tls/[HOST]:PORT, as Zenoh writes a link's; None: it is no TCP."""
+    if (found := LOCATOR.match(locator)) is None:
+        return None
+    return found[1] or found[2], int(found[3])

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, write_whole
 from agent.core.verbs import VERBS
 from agent.process.command import FleetFile, Port, RobotName, complain, new_file, refuse_options, run_folder, terminal
 from agent.process.launch import until_signal
@@ -126,7 +126,7 @@ def snapshot(
     load_robot(robots, robot, fleet)
     path = new_file(out or Path(f"{robot}.jpg"))
     image = next_picture(robots, robot, credentials(robots, LOOKER, fleet))
-    path.write_bytes(image.jpeg)
+    write_whole(path, image.jpeg)
     typer.echo(about(path, image))
     if target is not None:
         typer.echo(target_table(robots, target, path, image))

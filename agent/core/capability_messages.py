@@ -11,7 +11,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
-from agent.core.messages import NUMBER, SCHEMA, SENT, Count, Id, Message, Vector, means
+from agent.core.messages import NUMBER, SCHEMA, SENT, SIGNED, Count, Id, Message, Signature, Vector, means
 
 # --- keyframe ---
 # What one sweep of the focus over a whole view measured, as integers. Robots that have the same keyframes have the same
@@ -85,6 +85,7 @@ class Keyframe(Message, frozen=True, kw_only=True):
     seq: Annotated[Count, means("counts the keyframes that the sender said to this neighbour")]
     sent_ns: Annotated[Count, means(SENT)]
     frame: Annotated[Frame, means("what was measured, and from where")]
+    signature: Annotated[Signature | UnsetType, means(f"{SIGNED}; left out where the fleet has no keys")] = UNSET
 
 
 class Blocks(msgspec.Struct, frozen=True):

@@ -1,10 +1,12 @@
 """Messages to bytes and back: the msgpack map of a struct. Only the shape of a message is checked here.
 
-`Refusal` says why bytes are no message. `stated_size` reads how large a picture says it is before it is decoded.
+`Refusal` says why bytes are no message. `stated_size` reads how large a picture says it is before it is decoded,
+`too_deep` how deeply a text is nested.
 """
 
 from __future__ import annotations
 
+import re
 import struct
 from collections.abc import Collection
 from contextlib import suppress
@@ -18,7 +20,18 @@ from agent.core.messages import MAX_PAYLOAD, SCHEMA, Message
 M = TypeVar("M", bound=Message)
 
 RefusalKind = Literal[
-    "size", "garbage", "schema", "content", "address", "order", "place", "target", "clock", "fleet file", "quarantine"
+    "size",
+    "garbage",
+    "schema",
+    "content",
+    "address",
+    "order",
+    "place",
+    "target",
+    "clock",
+    "fleet file",
+    "quarantine",
+    "signature",
 ]
 
 
@@ -101,3 +114,29 @@ def stated_size(data: bytes) -> tuple[int, int] | None:
             return width, height
         at += 2 + length
     return None
+
+
+# --- nesting of a text ---
+# A parser takes stack for each level of nesting, and for a dotted key memory that grows with the square of its parts.
+
+MOST_DEEP = 32  # tables and lists in each other, and parts of a dotted key: a fleet file has six
+# Strings and comments, of TOML and of JSON; one that does not end goes to the end of its line or of the text.
+QUOTED = re.compile(
+    r'"""(?:[^"\\]|\\.|"(?!""))*+(?:"""|\Z)'
+    r"|'''(?:[^']|'(?!''))*+(?:'''|\Z)"
+    r'|"(?:[^"\\\n]|\\.)*+"?'
+    r"|'[^'\n]*+'?"
+    r"|#[^\n]*+",
+    re.DOTALL,
+)
+DOTTED = re.compile(rf"(?<![\w-])(?:[\w-]++[ \t]*+\.[ \t]*+){{{MOST_DEEP}}}")
+
+
+def too_deep(text: str) -> bool:
+    """Whether TOML or JSON is nested more than MOST_DEEP deep."""
+    bare, depth = QUOTED.sub("_", text), 0
+    for bracket in re.findall(r"[][{}]", bare):
+        depth = depth + 1 if bracket in "[{" else max(depth - 1, 0)
+        if depth > MOST_DEEP:
+            return True
+    return DOTTED.search(bare) is not None

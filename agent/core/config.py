@@ -1,4 +1,4 @@
-"""The tables of fleet.toml as frozen structs, TOML files into structs and back, and the digest that a fleet shares.
+"""The tables of fleet.toml as frozen structs, files into structs and back, and the digest that a fleet shares.
 
 agent/robot/fleet_reader.py reads a fleet file and checks it against its rules.
 """
@@ -6,13 +6,19 @@ agent/robot/fleet_reader.py reads a fleet file and checks it against its rules.
 from __future__ import annotations
 
 import hashlib
+import math
 import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from stat import S_ISREG
 from typing import Annotated, Any, Literal, TypeVar
 
 import msgspec
 import tomli_w
 from msgspec import Meta
+
+from agent.core.codec import MOST_DEEP, too_deep
 
 # --- fleet file ---
 
@@ -319,9 +325,91 @@ class Fleet(Struct, frozen=True, kw_only=True):
         return bool(self.robot) and all(robot.listen.startswith("tls/") for robot in self.robot.values())
 
 
-# --- TOML files ---
+# --- files that a person or another file names ---
 
-T = TypeVar("T")
+MOST_BYTES = 2**20  # of a text file: a survey of all tags of the family has 60 kB
+
+
+def read_file(path: Path, most_bytes: int = MOST_BYTES, give: str = "give another file") -> bytes:
+    """All of a file. Raises ConfigError where there is none, and for what is no regular file or larger: a device never
+    ends, and a pipe may never begin."""
+    data = None
+    try:
+        if S_ISREG(path.stat().st_mode):
+            with path.open("rb") as file:
+                data = file.read(most_bytes + 1)
+    except FileNotFoundError:
+        raise ConfigError(f"{path}: no such file; {give}") from None
+    except OSError as error:
+        raise ConfigError(f"{path}: cannot be read ({error.strerror}); {give}") from None
+    except ValueError:  # zero bytes
+        raise ConfigError(f"{str(path)!r}: no name of a file; {give}") from None
+    if data is None:
+        raise ConfigError(f"{path}: no regular file; {give}")
+    if len(data) > most_bytes:
+        raise ConfigError(f"{path}: larger than {most_bytes / 2**20:g} MiB, which no such file is; {give}")
+    return data
+
+
+def read_text(path: Path, give: str) -> str:
+    """All of a small file in UTF-8. Raises ConfigError."""
+    try:
+        return read_file(path, give=give).decode()
+    except UnicodeDecodeError:
+        raise ConfigError(f"{path}: not a text file; {give}") from None
+
+
+def inside(folder: Path, name: str) -> Path:
+    """The path of a file that a file in `folder` names, where somebody else may have written it. Raises ConfigError for
+    one that leads out of the folder."""
+    path = Path(name)
+    if path.is_absolute() or ".." in path.parts:
+        raise ConfigError(f"{folder}: names the file '{name}', which is outside of it; put that file into the folder")
+    return folder / path
+
+
+@contextmanager
+def writing(path: Path) -> Iterator[None]:
+    """An OSError of the block names this file: a full disk does not say for what it had no room."""
+    try:
+        yield
+    except OSError as error:
+        if error.filename is not None:
+            raise
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def write_whole(path: Path, data: str | bytes) -> None:
+    """All of it or nothing: a file that was there is as it was until the new one is written."""
+    part = path.with_name(f".{path.name}.part")
+    try:
+        part.write_bytes(data.encode() if isinstance(data, str) else data)
+        part.replace(path)
+    except OSError as error:
+        part.unlink(missing_ok=True)
+        raise OSError(error.errno, error.strerror, str(path)) from None
+
+
+def check_depth(text: str, what: object) -> None:
+    """Raises ConfigError for TOML or JSON that is nested too deeply to be read."""
+    if too_deep(text):
+        raise ConfigError(f"{what}: nested more than {MOST_DEEP} deep, as no file for aucamp is; correct the file")
+
+
+def parse_toml(text: str, what: object) -> dict[str, Any]:
+    """Every failure is a ConfigError; `what` names the text."""
+    check_depth(text, what)
+    try:
+        return tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{what}: not valid TOML: {error}") from None
+    except ValueError:  # Python reads no integer of more than 4300 digits
+        raise ConfigError(f"{what}: has a number of thousands of digits; correct it") from None
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Parse a TOML file; every failure is a ConfigError."""
+    return parse_toml(read_text(path, "give the path of an existing TOML file"), path)
 
 
 def dump(struct: msgspec.Struct) -> str:
@@ -335,26 +423,51 @@ def dump(struct: msgspec.Struct) -> str:
     return tomli_w.dumps(drop_none(msgspec.to_builtins(struct)))
 
 
-def read_toml(path: Path) -> dict[str, Any]:
-    """Parse a TOML file; every failure is a ConfigError."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ConfigError(f"{path}: no such file; give the path of an existing TOML file") from None
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); give the path of a TOML file") from None
-    except UnicodeDecodeError:
-        raise ConfigError(f"{path}: not a text file; give the path of a TOML file") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+T = TypeVar("T")
 
 
-def convert(data: dict[str, Any], kind: type[T], path: Path) -> T:
-    """Check parsed TOML against a struct; the message names file, key and remedy."""
+def convert(data: dict[str, Any], kind: type[T], what: object) -> T:
+    """Check parsed TOML against a struct, and its numbers; the message names `what`, the key and the remedy."""
+    found = typed(data, kind, what)
+    check_numbers(found, what)
+    return found
+
+
+def typed(data: dict[str, Any], kind: type[T], what: object) -> T:
+    """The same for what its rules will say of its numbers."""
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"{path}: {explain(error, data, kind)}") from None
+        raise ConfigError(f"{what}: {explain(error, data, kind)}") from None
+
+
+# Larger than any of that unit which a robot, a tank or a camera has; a unit is the end of a name.
+LARGEST = {"m": 1e4, "mm": 1e7, "px": 1e6, "deg": 1e4, "s": 1e7, "us": 1e7, "hz": 1e6}
+LARGEST_OF_ALL = 1e9
+LARGEST_SEED = 2**63 - 1  # and of every other whole number without a unit
+
+
+def check_numbers(found: Any, what: object) -> None:
+    """Raises ConfigError, naming the key, for a number in a struct that is not finite or beyond LARGEST."""
+    for key, remedy in odd_numbers(msgspec.to_builtins(found)):
+        raise ConfigError(f"{what}: key '{key}': {remedy}")
+
+
+def odd_numbers(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
+    """Such numbers as (key, what to change)."""
+    if isinstance(value, dict):
+        for name, child in value.items():
+            yield from odd_numbers(child, f"{key}.{name}" if key else str(name))
+    elif isinstance(value, list | tuple):
+        for i, child in enumerate(value):
+            yield from odd_numbers(child, f"{key}[{i}]")
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        unit = key.partition("[")[0].rpartition("_")[2]
+        most = LARGEST.get(unit, LARGEST_SEED if isinstance(value, int) else LARGEST_OF_ALL)
+        if not math.isfinite(value):
+            yield key, "not a finite number; correct the value"
+        elif abs(value) > most:
+            yield key, f"{value:.3g} is beyond {most:.3g}, the largest that can be; correct the value"
 
 
 # --- what is wrong in a TOML file ---

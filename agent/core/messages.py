@@ -386,7 +386,14 @@ class Order(Message, frozen=True, kw_only=True):
     """What an operator at a console wants of a robot. All values are absolute: heard twice is as heard once."""
 
     schema: Annotated[int, means(NUMBER)] = SCHEMA
-    id: Annotated[Count, means("counts the orders of this console, from the ns of its start on")]
+    id: Annotated[
+        int, Meta(ge=0, le=2**63 - 1), means("counts the orders of this console, from the ns of its start on")
+    ]
+    session: Annotated[
+        int,
+        Meta(ge=0, le=2**63 - 1),
+        means("tells sessions of a console of one name from each other: the ns of its start"),
+    ] = 0
     verb: Annotated[str, Meta(max_length=16), means("what to do: docs/orders.md")]
     args: Annotated[Mapping[str, Arg], Meta(max_length=16), means("how, by the names in docs/orders.md")] = {}
     seen: Annotated[

@@ -136,7 +136,7 @@ class Inputs(Message, frozen=True, kw_only=True):
     blocks: tuple[BlockPeaks, ...] | UnsetType = UNSET  # of sweeps over whole frames that ended; unset: none did
     faults: tuple[str, ...] | UnsetType = UNSET  # what the host knows to be wrong beside all this; unset: nothing
     keys: dict[Id, bytes] | UnsetType = UNSET  # public keys of the robots, when they were read or changed
-    orders: tuple[Ordered, ...] | UnsetType = UNSET  # in order of arrival; unset: none came
+    orders: tuple[Ordered, ...] | UnsetType = UNSET  # urgent ones first, then in order of arrival; unset: none came
 
 
 # --- outputs: to the robot's own devices, and to others ---

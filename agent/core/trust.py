@@ -1,8 +1,8 @@
 """Which messages count, and as whose: message-source authorisation, epochs, and the newest message of each neighbour.
 
-With keys: the evidence of a robot counts from any sender as long as its signature is right. Verifying costs a tenth of
-a millisecond, so each neighbour has a budget of it; a wrong signature empties the budget of the robot that passed it
-on, for honest robots verify before they pass on.
+With keys: evidence and keyframes of a robot count from any sender as long as its signature is right. Verifying costs a
+tenth of a millisecond, so each neighbour has a budget of it; a wrong signature empties the budget of the robot that
+passed it on, for honest robots verify before they pass on.
 
 Without keys: while a robot is heard directly, only its own messages count about it. About robots that are out of reach
 a relay is believed: nothing is known against it.
@@ -14,9 +14,11 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Generic, NamedTuple, Protocol, TypeVar
 
 import msgpack
+import msgspec
 from cryptography.exceptions import InvalidSignature
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
+from agent.core.capability_messages import Frame
 from agent.core.codec import Refusal
 from agent.core.link_clocks import CLOCKS_NS, INSISTS, LinkClock, Transit, Way
 from agent.core.messages import Entry, Epoch, Proposal, Sample, Vector
@@ -26,8 +28,9 @@ from agent.core.step_transaction import Revertible
 # What an origin signs, and whether a signature is its own. Ed25519 (RFC 8032): verifying needs no clock and no random
 # number.
 #
-# A relay may carry an entry or a sample anywhere; it cannot change one, nor make one up. All that gives the evidence
-# its meaning is signed: fleet, target and epoch too, so that nothing old or foreign can be shown again elsewhere.
+# A relay may carry an entry, a sample or a keyframe anywhere; it cannot change one, nor make one up. All that gives the
+# evidence its meaning is signed: fleet, target and epoch too, so that nothing old or foreign can be shown again
+# elsewhere.
 
 KEY_BYTES = 32  # of a public key
 SIGNATURE_BYTES = 64
@@ -54,6 +57,11 @@ def proposal_bytes(fleet: str, target: str, proposal: Proposal) -> bytes:
     step_m = None if proposal.step_m is None else _floats(proposal.step_m)
     what = [proposal.proposer, proposal.since_ns, proposal.counter, proposal.moving, step_m, proposal.against]
     return bytes(msgpack.packb(["aucamp.epoch.2", fleet, target, *what]))
+
+
+def keyframe_bytes(fleet: str, frame: Frame) -> bytes:
+    """What the origin of a keyframe signs."""
+    return bytes(msgpack.packb(["aucamp.keyframe.1", fleet, msgspec.to_builtins(frame, builtin_types=(bytes,))]))
 
 
 def _floats(numbers: Iterable[float]) -> list[float]:
@@ -84,7 +92,7 @@ HEARSAY = "hearsay"  # no fault of the relay: it cannot know which robots we hea
 
 
 class Authority(Revertible):
-    """One robot's judgement of message sources, for one target."""
+    """One robot's judgement of message sources, for one target, or for keyframes."""
 
     def __init__(self, neighbours: tuple[str, ...], verify: Verify = verify_signature) -> None:
         self._verify = verify

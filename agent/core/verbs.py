@@ -66,7 +66,7 @@ class Burn(Struct, frozen=True, kw_only=True):
 class DrawBox(Struct, frozen=True, kw_only=True):
     """A target of detector "box" is what is in this box of that frame: pixels of the frame."""
 
-    frame: Annotated[int, Meta(ge=0)]  # number of the frame, as previews say
+    frame: Annotated[int, Meta(ge=0, le=2**63 - 1)]  # number of the frame, as previews say
     x: Box
     y: Box
     width: Box
@@ -135,6 +135,9 @@ def arguments(verb: str, args: Mapping[str, Arg], strict: bool = True) -> Args:
     kind = VERBS.get(verb)
     if kind is None:
         raise Refusal("content", f"no verb {verb!r}; there are {', '.join(VERBS)}")
+    for name, value in args.items():
+        if isinstance(value, int) and not -(2**63) <= value < 2**63:
+            raise Refusal("content", f"{verb}: {name[:40]}: a whole number of more than 64 bits; write a smaller one")
     try:
         return msgspec.convert(dict(args), kind, strict=strict)
     except msgspec.ValidationError as error:

@@ -27,7 +27,7 @@ from rich.live import Live
 from agent.clock import machine
 from agent.core.capability_messages import Claim
 from agent.core.codec import Refusal
-from agent.core.config import Access, ConfigError, Fleet, Protocol, dump
+from agent.core.config import Access, ConfigError, Fleet, Protocol, dump, write_whole
 from agent.core.robot_view import in_own_name
 from agent.core.topics import CLAIM, STATE
 from agent.demo.display import how_to_look, progress_table, progress_title, result_table, survey_table
@@ -270,7 +270,7 @@ def demo(
         make_all(fleet, folder / FOLDER)
         run = run_folder(out)
         path = run / "fleet.toml"
-        path.write_text(dump(with_pictures(fleet, run)), encoding="utf-8")
+        write_whole(path, dump(with_pictures(fleet, run)))
         stack.enter_context(keeping(run, console))
         processes = stack.enter_context(crew(run / "logs", {VARIABLE: str(folder / FOLDER)}))
         calibrate(fleet, path, processes, console)
@@ -281,7 +281,7 @@ def demo(
     with with_spinner(console, "reading the recordings"):
         followed = {target: scored(run, fleet, target) for target in fleet.target if swims(fleet, target)}
     summary = summarize(fleet, histories, truth, machine.monotonic_s() - started_s, followed, survey)
-    (run / "summary.json").write_text(json.dumps(summary, indent=1) + "\n", encoding="utf-8")
+    write_whole(run / "summary.json", json.dumps(summary, indent=1) + "\n")
     for target in summary["targets"] if survey is None else ():  # cameras of a survey are not at targets
         console.print(result_table(summary, target))
     for line in survey.lines() if survey is not None else ():

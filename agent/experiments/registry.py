@@ -78,6 +78,12 @@ CLAIMS: dict[str, Entry] = {
     "board": Entry(S + "board.claim", "what a control cycle takes on the board", BODY, ("hw/firmware", *COUNTED)),
     "swarm": Entry(B + "bench_swarm", "twenty agents on one machine; a partition heals", NETWORK, SCRIPTS),
     "orders": Entry(B + "network.bench_orders", "a person stops three robots, of which one hangs", NETWORK, SCRIPTS),
+    "mute": Entry(
+        B + "network.bench_mute",
+        "links heal after a stop in the middle of a handshake",
+        NETWORK,
+        ("tests/network/scripted_agent.py",),
+    ),
     "page": Entry(B + "network.bench_page", "a page in a browser of five robots", NETWORK),
     "hosts": Entry(
         B + "network.bench_hosts",

@@ -17,11 +17,10 @@ from typing import TYPE_CHECKING, Any, Literal
 import msgspec
 from rich.table import Table
 
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, write_whole
 from agent.experiments.claim import Claim, Figure, Measured, verdict
 from agent.experiments.registry import CLAIMS, HEADLINES, code_of, load
 from agent.experiments.run_claim import Plan
-from agent.process.command import write_whole
 from replay.files.mcap_file import environment
 
 if TYPE_CHECKING:

@@ -22,10 +22,10 @@ from typing import IO, Any, NamedTuple
 import msgspec
 
 from agent.clock import machine
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, write_whole
 from agent.experiments.claim import Claim, Row
 from agent.experiments.registry import Entry, code_hash, load
-from agent.process.command import Failed, Progress, write_whole
+from agent.process.command import Failed, Progress
 
 PLAN, FINISHED, ROWS = "plan.json", "finished.jsonl", "rows.json"
 TIMED_OUT_S = 30.0  # until a scheduler answers

@@ -63,7 +63,8 @@ class OrderConsole:
     def __init__(self, fleet: Fleet, name: str, keys: Path | None = None) -> None:
         """keys: folder of a secured fleet's certificates."""
         self._fleet, self._name, self._keys = fleet, name, keys
-        self._ids = itertools.count(machine.unix_ns())
+        self._session_ns = machine.unix_ns()
+        self._ids = itertools.count(self._session_ns)
         self._changed = threading.Condition()  # guards all below
         self._states: dict[str, State] = {}  # the newest of each robot
         self._there: set[str] = set()  # robots whose token is there
@@ -112,7 +113,7 @@ class OrderConsole:
         """Order these robots, each as soon as it is heard; what became of it at each, as it comes: until `heard_s` for
         the first sign of a robot, and then `answer_s` for its answer. Raises Refusal for an order that cannot be."""
         arguments(verb, args or {})
-        order = Order(id=next(self._ids), verb=verb, args=args or {})
+        order = Order(id=next(self._ids), session=self._session_ns, verb=verb, args=args or {})
         start_s = machine.monotonic_s()
         asked = {robot: _Asked() for robot in robots}
         while asked:
@@ -143,7 +144,8 @@ class OrderConsole:
 
         def replied(reply: Reply) -> None:
             with self._changed:
-                asked.hear(reply, machine.monotonic_s())
+                if reply.key in ("", key):  # anybody may answer: believed is an answer of this robot, to this order
+                    asked.hear(reply, robot, order, machine.monotonic_s())
                 self._changed.notify()
 
         def over() -> None:
@@ -188,12 +190,14 @@ class _Asked:
         self._first_s, self._open = self._first_s or now_s, True
         return True
 
-    def hear(self, reply: Reply, now_s: float) -> None:
+    def hear(self, reply: Reply, robot: str, order: Order, now_s: float) -> None:
         try:
             answer = decode(reply.payload, Answer) if reply.key else None
         except Refusal as refusal:
             answer, self._error = None, f"its answer cannot be read ({refusal}); use the same version of aucamp"
-        if answer is not None and self.outcome is None:
+        if answer is not None and (answer.robot, answer.id) != (robot, order.id):
+            self._error = f"{answer.robot} answered in its place; look who is linked: aucamp doctor"
+        elif answer is not None and self.outcome is None:
             self.outcome = Outcome(answer, took_s=now_s - (self._first_s or now_s))
         elif reply.error:
             self._error = reply.error

@@ -148,7 +148,7 @@ def _pair(fleet: Fleet, facts: Facts, a: str, b: str) -> Iterator[Finding]:
     if deaf:
         one, other = deaf[0]
         who = f"{a} and {b} do not hear each other" if len(deaf) == 2 else f"{one} does not hear {other}"
-        yield Finding("wrong", a, f"{who}: {_why(fleet, facts, a, b)}")
+        yield Finding("wrong", a, f"{who}: {_why(fleet, facts, a, b, one)}")
         return
     for one, other in ((a, b), (b, a)):
         heard = _of(facts, one, other)
@@ -170,18 +170,26 @@ def _of(facts: Facts, one: str, other: str) -> NeighbourState | None:
     return next((found for found in facts.states[one].neighbours if found.robot == other), None)
 
 
-def _why(fleet: Fleet, facts: Facts, a: str, b: str) -> str:
+def _why(fleet: Fleet, facts: Facts, a: str, b: str, deaf: str) -> str:
     """Of the two the later name dials the other."""
     if any(_of(facts, one, other) is None for one, other in ((a, b), (b, a))):
         return "one of them does not have the other as a neighbour; give both the same fleet file"
-    ends = [facts.shown[facts.links[name].session] for name in (a, b) if _is_shown(facts, name)]
+    ends = {name: facts.shown[facts.links[name].session] for name in (a, b) if _is_shown(facts, name)}
     sessions = {facts.links[name].session for name in (a, b) if name in facts.links}
     if not ends:
         return f"they have no link, or other rules; look from {b}'s computer: aucamp doctor FLEET --as {b}"
-    if any(end.linked & sessions for end in ends):
+    if any(end.linked & sessions for end in ends.values()):
+        if len(ends) == 2 and all(_goes_by_ours(fleet, name, end) for name, end in ends.items()):
+            text = f"their link is mute, and {b} dials {a} again each second and is turned away"
+            return f"{text}; start {deaf} again, and install one version of aucamp everywhere"
         return "they are linked, so their rules or fleet files differ; give both the same, and start them again"
     where = fleet.robot[a].listen
     return f"no link: {b} dials {a} at {where}; look from {b}'s computer: aucamp doctor FLEET --as {b}"
+
+
+def _goes_by_ours(fleet: Fleet, name: str, shown: Shown) -> bool:
+    expected = metadata(fleet, name)
+    return all(shown.metadata.get(what) == expected[what] for what in ("file", "rules"))
 
 
 def _is_shown(facts: Facts, name: str) -> bool:

@@ -105,18 +105,19 @@ def _ask_once(
     for robot in robots:
         asked_ns = now_ns()
 
-        def replied(reply: Reply, robot: str = robot, asked_ns: int = asked_ns) -> None:
+        key = topics.ORDER.format(fleet=fleet.fleet, robot=robot, console=console)
+
+        def replied(reply: Reply, robot: str = robot, asked_ns: int = asked_ns, key: str = key) -> None:
             back_ns = now_ns()
             try:
                 answer = decode(reply.payload, Answer)
             except Refusal:  # an error, or of another version
                 return
-            if answer.robot == robot and answer.ok:
+            if (reply.key, answer.robot, answer.id) == (key, robot, asked_ns) and answer.ok:
                 found[robot] = Stamps(asked_ns, answer.arrived_ns, answer.sent_ns, back_ns)
 
         done = threading.Event()
         over.append(done)
-        key = topics.ORDER.format(fleet=fleet.fleet, robot=robot, console=console)
         session.ask(Order, key, encode(Order(id=asked_ns, verb="clock")), ANSWER_S, replied, done.set)
     deadline_s = machine.monotonic_s() + ANSWER_S
     for done in over:

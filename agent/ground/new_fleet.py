@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import jinja2
 
-from agent.core.config import ConfigError, Fleet, Look, Pose
+from agent.core.config import ConfigError, Fleet, Look, Pose, write_whole
 from agent.process.certificates import (
     AUTHORITY,
     CERTIFICATE,
@@ -55,7 +55,7 @@ class Row(NamedTuple):
 
 def write_fleet(path: Path, count: int, twin: bool) -> list[str]:
     """Write the file of `count` robots, 1 to 10; returns lines that say what to type next."""
-    path.write_text(fleet_text(path, count, twin), encoding="utf-8")
+    write_whole(path, fleet_text(path, count, twin))
     load_fleet(path)  # whoever wrote it, it is read as any other
     robots = f"{count} robot{'s' if count > 1 else ''}"
     next_one = f"aucamp demo --fleet {path}" if twin else f"aucamp calibrate run {path} --robot r1"

@@ -15,6 +15,7 @@ import msgspec
 
 from agent.core import capability_messages, messages, topics
 from agent.core.codec import encoding
+from agent.core.config import write_whole
 from agent.core.messages import MAX_ORDER, SCHEMA, Answer, Message, Order
 from agent.core.topics import TOPICS
 
@@ -109,7 +110,7 @@ def write(folder: Path) -> list[Path]:
     """Write all of them into a folder that is there; returns their paths."""
     written = []
     for name, text in texts().items():
-        (folder / name).write_text(text, encoding="utf-8")
+        write_whole(folder / name, text)
         written.append(folder / name)
     return written
 

@@ -50,7 +50,7 @@ from agent.perception.flow import LandmarkWatch
 from agent.perception.tracking.appearance import Box
 from agent.perception.vision import Preview, Vision
 from agent.process.certificates import credentials
-from agent.process.keys import RobotKeys, robot_keys
+from agent.process.keys import RobotKeys, Sign, robot_keys, unsigned
 from agent.process.transport import Transport, fleet_clock
 from agent.robot.fleet_reader import load_fleet, load_robot, with_behaviour
 from agent.robot.step import Agent
@@ -112,7 +112,7 @@ class Runtime:
         *,
         faults: Callable[[], tuple[str, ...]] = tuple,
         motors: MotorSwitch | None = None,
-        sign: Callable[[Estimate], Estimate] = lambda estimate: estimate,
+        sign: Sign = unsigned,
         keys: Callable[[int], dict[str, bytes] | None] = lambda now_ns: None,
         landmarks: Callable[[], Around] = lambda: ((), ()),
         draw: Callable[[TargetBox], str | None] = lambda box: "nobody looks",
@@ -204,7 +204,7 @@ class Runtime:
         for estimate in outputs.says:
             self._network.say(self._sign(estimate))
         for said in outputs.outgoing or ():
-            self._network.say(said)
+            self._network.say(self._sign(said))
         for message in (*(() if outputs.state is None else (outputs.state,)), *outputs.log):
             self._network.show(message)
 

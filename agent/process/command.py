@@ -23,7 +23,7 @@ from rich import progress as bars
 from rich.console import Console
 from rich.text import Text
 
-from agent.core.config import ConfigError, Fleet
+from agent.core.config import ConfigError, Fleet, read_file, write_whole
 
 # --- progress: a bar where the end is known, else a spinner ---
 
@@ -134,13 +134,6 @@ def free_name(path: Path) -> Path:
     return free
 
 
-def write_whole(path: Path, text: str) -> None:
-    """All of it or nothing: a file that was there is as it was until the new one is written."""
-    part = path.with_name(f".{path.name}.part")
-    part.write_text(text, encoding="utf-8")
-    part.replace(path)
-
-
 def new_recording(path: Path) -> Path:
     """The path of a recording, where nothing is yet. Raises ConfigError for what would not be found as one again."""
     if path.suffix != ".mcap":
@@ -194,7 +187,7 @@ def with_pictures(fleet: Fleet, folder: Path) -> Fleet:
     for name, target in fleet.target.items():
         if target.picture is not None:
             own = f"{name}{Path(target.picture).suffix}"
-            shutil.copyfile(target.picture, folder / own)
+            write_whole(folder / own, read_file(Path(target.picture), 2**30, "give a picture"))
             target = msgspec.structs.replace(target, picture=own)
         targets[name] = target
     return msgspec.structs.replace(fleet, target=targets)

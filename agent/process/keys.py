@@ -12,7 +12,7 @@ import stat
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple, Protocol, TypeVar
 
 from cryptography.exceptions import UnsupportedAlgorithm
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey, Ed25519PublicKey
@@ -26,9 +26,13 @@ from cryptography.hazmat.primitives.serialization import (
 )
 from msgspec.structs import replace
 
+from agent.core.capability_messages import Keyframe
+from agent.core.codec import decode, encode
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Entry, Estimate, Proposal, Sample
-from agent.core.trust import entry_bytes, proposal_bytes, sample_bytes
+from agent.core.step_io import Said
+from agent.core.topics import KEYFRAME
+from agent.core.trust import entry_bytes, keyframe_bytes, proposal_bytes, sample_bytes
 
 PRIVATE, PUBLIC = ".sign", ".sign.pub"
 OWNER_ONLY, EVERYBODY = 0o600, 0o644
@@ -218,16 +222,23 @@ def _to_mend(found: Found) -> list[str]:
 # --- signatures ---
 # A robot's signature under what it measured itself, put there as a message leaves: nothing recorded needs the key.
 #
-# The kernel gives its own entries, samples and proposals without one, and passes on those of others with theirs.
+# The kernel gives its own entries, samples, proposals and keyframes without one, and passes on those of others with
+# theirs.
 
 KEPT = 1024  # signatures: 48 samples of each of 20 targets, and room for entries and proposals
 
-Sign = Callable[[Estimate], Estimate]
+S = TypeVar("S", Estimate, Said)
 
 
-def unsigned(estimate: Estimate) -> Estimate:
+class Sign(Protocol):
+    """What a message leaves as."""
+
+    def __call__(self, said: S, /) -> S: ...
+
+
+def unsigned(said: S) -> S:
     """What a fleet without keys says: the same."""
-    return estimate
+    return said
 
 
 def signing(robot: str, private: Ed25519PrivateKey) -> Sign:
@@ -238,7 +249,21 @@ def signing(robot: str, private: Ed25519PrivateKey) -> Sign:
     """
     signature = lru_cache(KEPT)(private.sign)  # Ed25519 has no chance in it: equal bytes, equal signature
 
-    def sign(estimate: Estimate) -> Estimate:
+    def sign_keyframe(said: Said) -> Said:
+        """Likewise, a keyframe that is made of its own sweep."""
+        keyframe = decode(said.payload, Keyframe, KEYFRAME.limit)
+        frame = keyframe.frame
+        if frame.origin != robot or keyframe.signature or frame.incarnation < keyframe.incarnation:
+            return said
+        signed = replace(keyframe, signature=signature(keyframe_bytes(keyframe.fleet, frame)))
+        return replace(said, payload=encode(signed))
+
+    def sign(said: Any) -> Any:
+        if isinstance(said, Estimate):
+            return sign_estimate(said)
+        return sign_keyframe(said) if said.topic == KEYFRAME.name else said
+
+    def sign_estimate(estimate: Estimate) -> Estimate:
         gossip = estimate.gossip
         if gossip is None:
             return estimate

@@ -13,7 +13,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from threading import Condition, Event, RLock, Thread, main_thread
+from threading import Condition, Event, RLock, Thread, Timer, main_thread
 from typing import NamedTuple
 
 from agent.clock import machine
@@ -282,14 +282,31 @@ class Stop(Event):
         return self._happened
 
 
-def leave(number: int, frame: object) -> None:
-    """A signal ends the program as Ctrl-C does, so that what it started ends with it.
+class Leaving(SystemExit):
+    """A signal ends the program. Where this is dropped on its way, as Python does with what is raised in a callback
+    while it imports or compiles, the signal comes again; `arrived` says that it need not."""
 
-    Where Python runs a callback, as it often does while it imports, an exception is told and forgotten: then
-    `until_signal` remembers.
-    """
+    def __init__(self, number: int) -> None:
+        super().__init__(128 + number)
+        self.arrived = False
+        self._number = number
+
+    def __del__(self) -> None:
+        if not self.arrived:
+            again = Timer(AGAIN_S, _come_again, (self._number,))
+            again.daemon = True
+            again.start()
+
+
+def _come_again(number: int) -> None:
+    if signal.getsignal(number) is leave:  # else `until_signal`, which remembers, has taken over
+        signal.pthread_kill(main_thread().ident or 0, number)
+
+
+def leave(number: int, frame: object) -> None:
+    """A signal ends the program as Ctrl-C does, so that what it started ends with it."""
     _asked.append(number)
-    raise SystemExit(128 + number)
+    raise Leaving(number)
 
 
 @contextmanager

@@ -25,7 +25,7 @@ from agent.core.config import Fleet
 from agent.core.messages import MAX_ORDER, Answer, Order
 from agent.core.step_io import DroppedPayloads, Heard, Ordered
 from agent.core.topics import LINK, Topic
-from agent.core.verbs import CLOCK
+from agent.core.verbs import CLOCK, URGENT
 from agent.robot.arbiter import CAPABILITIES, table_of
 from agent.robot.operator import CONSOLE, why_closed
 from router_config.session import Link, Query, Sample, Withdraw, unusable
@@ -151,15 +151,22 @@ WAITING = 16  # of one console
 ALL_WAITING = 64
 
 
+class _Waiting(NamedTuple):
+    ordered: Ordered
+    query: Query
+
+
 class OrderBox:
-    """Of one robot; filled by Zenoh's threads and emptied by the loop."""
+    """Of one robot; filled by Zenoh's threads and emptied by the loop. Urgent orders have places of their own, so that
+    no flood of others takes them, and come first."""
 
     def __init__(self, fleet: Fleet, robot: str, clock: Callable[[], int]) -> None:
         self._fleet, self._robot, self._clock = fleet, robot, clock
-        self._waiting: deque[tuple[Ordered, Query]] = deque()
-        self._held: list[tuple[Ordered, Query]] = []  # those of the step under way
+        self._urgent: deque[_Waiting] = deque()
+        self._others: deque[_Waiting] = deque()
+        self._held: list[_Waiting] = []  # those of the step under way
         self._refused: Counter[str] = Counter()
-        self._lock = threading.Lock()  # guards `_waiting` and `_refused`: Zenoh has a thread per link
+        self._lock = threading.Lock()  # guards what waits and what was refused: Zenoh has a thread per link
 
     def asked(self, query: Query) -> None:
         """Keep an order, or turn it away."""
@@ -168,10 +175,11 @@ class OrderBox:
         console = "" if who is None else who["console"]
         why = self._unusable(query, console)
         if why is None:
-            ordered = Ordered(arrived_ns=at_ns, console=console, payload=query.payload())
-            if self._says_time(ordered, query):
+            waiting = _Waiting(Ordered(arrived_ns=at_ns, console=console, payload=query.payload()), query)
+            order = _read(waiting.ordered)
+            if order is not None and self._says_time(order, waiting):
                 return
-            why = self._keep(ordered, query)
+            why = self._keep(waiting, self._urgent if order is not None and order.verb in URGENT else self._others)
         if why is not None:
             with self._lock:
                 self._refused[why] += 1
@@ -183,8 +191,9 @@ class OrderBox:
         """What arrived since the last call. Who was not answered since then will not be."""
         self.drop()
         with self._lock:
-            self._held = list(self._waiting)
-            self._waiting.clear()
+            self._held = [*self._urgent, *self._others]
+            self._urgent.clear()
+            self._others.clear()
         return tuple(ordered for ordered, _ in self._held)
 
     def refused(self) -> list[tuple[str, int]]:
@@ -220,21 +229,18 @@ class OrderBox:
             return "order in a wrong encoding"
         return "order too large" if query.size > MAX_ORDER else None
 
-    def _keep(self, ordered: Ordered, query: Query) -> str | None:
+    def _keep(self, waiting: _Waiting, places: deque[_Waiting]) -> str | None:
         """Why it is turned away; None: it is kept."""
         with self._lock:
-            own = sum(waiting.console == ordered.console for waiting, _ in self._waiting)
-            if own >= WAITING or len(self._waiting) >= ALL_WAITING:
+            own = sum(one.ordered.console == waiting.ordered.console for one in places)
+            if own >= WAITING or len(places) >= ALL_WAITING:
                 return "too many orders at once"
-            self._waiting.append((ordered, query))
+            places.append(waiting)
         return None
 
-    def _says_time(self, ordered: Ordered, query: Query) -> bool:
+    def _says_time(self, order: Order, waiting: _Waiting) -> bool:
         """Answer at once where that is asked, and by somebody who may."""
-        try:
-            order = decode(ordered.payload, Order, MAX_ORDER)
-        except Refusal:
-            return False
+        ordered, query = waiting
         if order.verb != CLOCK or order.args or why_closed(self._fleet, ordered.console):
             return False
         answer = Answer(
@@ -257,6 +263,13 @@ class OrderBox:
             logger.warning("an order of %s could not be answered: %s", answer.console, str(error)[:200])
         finally:
             query.drop()
+
+
+def _read(ordered: Ordered) -> Order | None:
+    """None: it cannot be read, which the step answers."""
+    with contextlib.suppress(Refusal):
+        return decode(ordered.payload, Order, MAX_ORDER)
+    return None
 
 
 # --- liveliness tokens ---

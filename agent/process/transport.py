@@ -101,7 +101,7 @@ class Transport:
         return heard, (*refused, *orders)
 
     def orders(self) -> tuple[Ordered, ...]:
-        """What people have ordered since the last call, in order of arrival."""
+        """What people have ordered since the last call: what is urgent first, then in order of arrival."""
         return self._box.take()
 
     def answer(self, answers: Sequence[Answer]) -> None:

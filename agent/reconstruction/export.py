@@ -6,13 +6,14 @@ import json
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.core.config import write_whole
 from agent.process.command import Failed
 from agent.reconstruction.mesh import Mesh
 from agent.reconstruction.views import Floats, View
+from hw.camera.files import write_picture
 from replay.files.channels import PROTOBUF, Entry
 from replay.files.frames import schema
 from replay.files.mcap_file import Part
@@ -26,11 +27,6 @@ GAMMA = 2.2  # near enough to sRGB that no viewer shows the difference
 def encoded(light: NDArray[np.float32]) -> NDArray[np.uint8]:
     """Linear 0 to 1 -> 255 light ** (1 / 2.2), clipped."""
     return np.asarray(np.rint(255.0 * np.clip(light, 0.0, 1.0) ** (1.0 / GAMMA)), np.uint8)
-
-
-def write_picture(light: NDArray[np.float32], path: Path) -> None:
-    """(height, width, 3) red green blue, linear, as PNG."""
-    cv2.imwrite(str(path), encoded(light)[..., ::-1])
 
 
 # --- a view as other programs model cameras ---
@@ -92,7 +88,7 @@ def write_colmap(views: list[View], mesh: Mesh, folder: Path) -> None:
         one.mkdir(parents=True)
     cameras, poses = [], []
     for n, (view, name) in enumerate(zip(views, names(views), strict=True), start=1):
-        write_picture(view.picture, images / f"{name}.png")
+        write_picture(images / f"{name}.png", encoded(view.picture)[..., ::-1])
         p = pinhole(view)
         cameras.append(f"{n} SIMPLE_RADIAL {p.width} {p.height} {_text([p.f_px, p.cx_px, p.cy_px, p.k1])}")
         to_camera = p.rotation.T
@@ -105,7 +101,7 @@ def write_colmap(views: list[View], mesh: Mesh, folder: Path) -> None:
         for n, m in enumerate(range(0, len(mesh.vertices_m), step), start=1)
     ]
     for file, lines in (("cameras.txt", cameras), ("images.txt", poses), ("points3D.txt", points)):
-        (sparse / file).write_text("".join(f"{line}\n" for line in lines), encoding="utf-8")
+        write_whole(sparse / file, "".join(f"{line}\n" for line in lines))
 
 
 def _text(numbers: list[float]) -> str:
@@ -129,7 +125,7 @@ def write_glb(mesh: Mesh, path: Path) -> None:
         vertex_colors=encoded(mesh.colours),
         process=False,
     )
-    body.export(str(path), file_type="glb")
+    write_whole(path, body.export(file_type="glb"))
 
 
 # --- MCAP of Foxglove's own messages, for Foxglove and Rerun: a cloud of points, and the cameras ---
@@ -205,11 +201,8 @@ def write_elements(
     properties = [f"property {FORMATS[vertices.dtype[name].str[1:]]} {name}" for name in names]
     head = ["ply", "format binary_little_endian 1.0", "comment aucamp, metres, z up"]
     head += [f"element vertex {len(vertices)}", *properties, *ending, "end_header"]
-    with path.open("wb") as file:
-        file.write("\n".join(head).encode() + b"\n")
-        vertices.tofile(file)
-        if rest is not None:
-            rest.tofile(file)
+    parts = ["\n".join(head).encode() + b"\n", vertices.tobytes(), b"" if rest is None else rest.tobytes()]
+    write_whole(path, b"".join(parts))
 
 
 # --- PLY of 3D Gaussian splatting: a flat, opaque Gaussian at each vertex, turned as the surface is ---
@@ -254,13 +247,14 @@ def write_transforms(views: list[View], mesh: Mesh, folder: Path) -> None:
         (folder / name).mkdir(parents=True)
     frames = []
     for view, name in zip(views, names(views), strict=True):
-        write_picture(view.picture, folder / "images" / f"{name}.png")
+        write_picture(folder / "images" / f"{name}.png", encoded(view.picture)[..., ::-1])
         from_centre = np.nan_to_num((view.depth_m - view.camera.ahead_m) / DEPTH_UNIT_M)
-        cv2.imwrite(str(folder / "depths" / f"{name}.png"), np.clip(np.rint(from_centre), 0, 65535).astype(np.uint16))
+        depths = np.clip(np.rint(from_centre), 0, 65535).astype(np.uint16)
+        write_picture(folder / "depths" / f"{name}.png", depths)
         frames.append({"file_path": f"images/{name}.png", "depth_file_path": f"depths/{name}.png", **frame(view)})
     write_ply(mesh, folder / "points.ply")
     top = {"camera_model": "OPENCV", "depth_unit_scale_factor": DEPTH_UNIT_M, "ply_file_path": "points.ply"}
-    (folder / "transforms.json").write_text(json.dumps({**top, "frames": frames}, indent=1) + "\n", encoding="utf-8")
+    write_whole(folder / "transforms.json", json.dumps({**top, "frames": frames}, indent=1) + "\n")
 
 
 def frame(view: View) -> dict[str, Any]:

@@ -15,12 +15,14 @@ import numpy as np
 from markupsafe import Markup, escape
 from numpy.typing import NDArray
 
-from agent.process.command import Failed, Progress, Show
+from agent.core.config import write_whole
+from agent.process.command import Progress, Show
 from agent.reconstruction.export import GAMMA, encoded
 from agent.reconstruction.fusion import Built
 from agent.reconstruction.held_back import HeldBack
 from agent.reconstruction.mesh import Mesh, Rendered, pieces_of, rendered
 from agent.reconstruction.views import Camera, Floats, View
+from replay.files.frames import film
 from replay.report.page import PAGE
 
 # --- rendered views beside photographs that nothing was made of ---
@@ -98,16 +100,11 @@ def looked_at(mesh: Mesh, colours: NDArray[np.float32], bearing_deg: float, elev
 
 
 def write_turntable(mesh: Mesh, path: Path, progress: Progress) -> None:
-    """A film once round the scene. Raises Failed where it cannot be written."""
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), FPS, (WIDTH, HEIGHT))
-    if not writer.isOpened():
-        raise Failed(f"{path}: a film cannot be written there; give --out another place, or --no-video")
-    try:
+    """A film once round the scene. Raises OSError where it cannot be written."""
+    with film(path, FPS) as made:
         for done, image in enumerate(_round(mesh), start=1):
-            writer.write(image[..., ::-1])
+            made.add(image[..., ::-1])
             progress(done, FRAMES)
-    finally:
-        writer.release()
 
 
 def _round(mesh: Mesh) -> Iterator[NDArray[np.uint8]]:
@@ -172,7 +169,7 @@ def write_report(
     robots = ", ".join(figures["robots"])
     about = f"{figures['views']} keyframes of {robots}; {figures['held_back']} more held back."
     text = page.render(title="Reconstruction", verdict="", reasons=[], about=about, sections=sections)
-    files[0].write_text(text, encoding="utf-8")
+    write_whole(files[0], text)
     return files
 
 

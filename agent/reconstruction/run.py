@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from agent.clock import machine
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, write_whole
 from agent.process.command import Failed, Progress, Show
 from agent.reconstruction import surfels
 from agent.reconstruction.export import Kind, export
@@ -76,7 +76,7 @@ def run(settings: Settings, out: Path, show: Show) -> Result:
     figures["image"] = image_figures(model, placed)
     files += write_report(built, held, placed, figures, out, settings.video, show)
     path = out / RESULT
-    path.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(figures, indent=1) + "\n")
     return Result(built, held, [*files, path], passed_over, figures, model)
 
 

@@ -9,16 +9,17 @@ lie on each other; where there is none they are registered.
 from __future__ import annotations
 
 import itertools
-import json
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 import cv2
+import msgspec
 import numpy as np
+from msgspec import Meta
 
-from agent.core.config import ConfigError, Pose
+from agent.core.config import ConfigError, Pose, check_depth, convert, inside, read_file
 from agent.core.ranging.camera_model import camera_pose, gimbal_deg
 from agent.perception.depth_peaks import luminance
 from agent.process.command import Progress, Show
@@ -34,6 +35,7 @@ from agent.reconstruction.views import (
     reduction,
     shrunk_frame,
 )
+from hw.camera.files import read_picture
 from replay.check.reexecute import BlackBox, open_boxes
 from replay.viewers.viewer_channels import SweepFrame
 from replay.whole_sweeps import Motion, TakenSweep, taken_sweeps, told
@@ -192,69 +194,107 @@ def _pose(box: BlackBox, moved: Motion, t_ns: int) -> tuple[Floats, Floats, Floa
 
 TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 GAMMA = 2.2
-LENS = ("k1", "k2", "k3", "k4", "p1", "p2")
+FLAT = 1e-9  # of a determinant: no rotation has so little, at any scale of a scene
+MOST_BYTES = 2**26  # of transforms.json: 1 kB a picture
+
+Row = tuple[float, float, float, float]
+
+
+class Lens(msgspec.Struct, frozen=True, kw_only=True):
+    """Of all pictures, or of one."""
+
+    w: Annotated[float, Meta(ge=1)] | None = None  # of the pictures that the numbers were found in
+    h: Annotated[float, Meta(ge=1)] | None = None
+    fl_x: Annotated[float, Meta(ge=1)] | None = None
+    fl_y: Annotated[float, Meta(ge=1)] | None = None
+    camera_angle_x: Annotated[float, Meta(gt=0, lt=math.pi)] | None = None
+    cx: float | None = None
+    cy: float | None = None
+    k1: float | None = None
+    k2: float | None = None
+    k3: float | None = None
+    p1: float | None = None
+    p2: float | None = None
+
+
+LENS = Lens.__struct_fields__
+
+
+class Frame(Lens, frozen=True, kw_only=True):
+    file_path: str
+    transform_matrix: tuple[Row, Row, Row, Row]
+
+
+class Transforms(Lens, frozen=True, kw_only=True):
+    frames: Annotated[tuple[Frame, ...], Meta(min_length=1)]
 
 
 def transforms_views(path: Path, show: Show) -> list[View]:
     """Views of a transforms.json, or of the folder that has one. Raises ConfigError with one line."""
     file = path / "transforms.json" if path.is_dir() else path
-    try:
-        data = json.loads(file.read_text(encoding="utf-8"))
-        frames = list(data["frames"])
-    except (OSError, ValueError, KeyError, TypeError):
-        raise ConfigError(f"{file}: no transforms.json; give a folder in nerfstudio's layout, or its file") from None
+    data = read_transforms(file)
     views = []
-    for n, frame in enumerate(frames):
-        show(n, len(frames), "reading pictures")
+    for n, frame in enumerate(data.frames):
+        show(n, len(data.frames), "reading pictures")
         views.append(_view(file, data, frame, n))
     return views
 
 
-def _view(file: Path, data: dict[str, Any], frame: dict[str, Any], n: int) -> View:
+def read_transforms(file: Path) -> Transforms:
+    """Raises ConfigError for what is none, and for numbers that are not finite or are too large."""
+    give = "give a folder in nerfstudio's layout, or its file"
     try:
-        name = frame["file_path"]
-        pose = np.array(frame["transform_matrix"], float).reshape(4, 4) @ TO_OPENCV
-    except (KeyError, TypeError, ValueError):
-        raise ConfigError(f"{file}: frame {n} has no file_path or no transform_matrix of 4 x 4") from None
-    image = _image(file.parent / name)
+        text = read_file(file, MOST_BYTES, give).decode()
+        check_depth(text, file)
+        data = msgspec.json.decode(text)
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{file}: no JSON ({error}); {give}") from None
+    return convert(data, Transforms, file)
+
+
+def _view(file: Path, data: Transforms, frame: Frame, n: int) -> View:
+    image = _image(file, frame.file_path)
     height, width = image.shape[:2]
-    f, camera, image = _pinhole(file, {**data, **frame}, image, n)
+    f, camera, image = _pinhole(file, data, frame, image, n)
+    pose = np.array(frame.transform_matrix)[:3] @ TO_OPENCV
+    volume = float(np.linalg.det(pose[:, :3]))
+    if abs(volume) < FLAT:
+        raise ConfigError(f"{file}: frame {n}: its transform_matrix turns nothing; take the frame out")
     times = reduction(width)
     small = shrunk_frame(image, 1.0, (0.0, 0.0), times, GAMMA) if times > 1 else linear(image, GAMMA)
     half = (times - 1) / 2.0
     intrinsics = Camera(
         f / times, (camera[0] - half) / times, (camera[1] - half) / times, 0.0, 0.0, width // times, height // times
     )
-    rotation: Floats = pose[:3, :3] / np.cbrt(np.linalg.det(pose[:3, :3]))
+    rotation: Floats = pose[:, :3] / np.cbrt(volume)
     unknown = np.full(small.shape[:2], np.nan, np.float32)
     return View(
-        "pictures", "", n, intrinsics, rotation, pose[:3, 3], diagonal_prior(1e-3, 1e-3), small, unknown, unknown
+        "pictures", "", n, intrinsics, rotation, pose[:, 3], diagonal_prior(1e-3, 1e-3), small, unknown, unknown
     )
 
 
-def _image(path: Path) -> np.ndarray:
+def _image(file: Path, name: str) -> np.ndarray:
+    path = inside(file.parent, name)
     found = [path, *(path.with_name(path.name + ending) for ending in (".png", ".jpg", ".jpeg"))]
-    there = next((one for one in found if one.is_file()), None)
-    image = None if there is None else cv2.imread(str(there), cv2.IMREAD_COLOR)
-    if image is None:
-        raise ConfigError(f"{path}: no such picture, or none that can be read")
-    return np.asarray(image, np.uint8)
+    return read_picture(next((one for one in found if one.is_file()), path))
 
 
 def _pinhole(
-    file: Path, about: dict[str, Any], image: np.ndarray, n: int
+    file: Path, data: Transforms, frame: Frame, image: np.ndarray, n: int
 ) -> tuple[float, tuple[float, float], np.ndarray]:
     """Focal length and centre of the picture as a straight pinhole would have taken it, and that picture."""
     height, width = image.shape[:2]
-    try:
-        narrow = "fl_x" not in about
-        fx: float = 0.5 * width / math.tan(0.5 * float(about["camera_angle_x"])) if narrow else float(about["fl_x"])
-        fy = float(about.get("fl_y", fx))
-        cx, cy = float(about.get("cx", width / 2.0)) - 0.5, float(about.get("cy", height / 2.0)) - 0.5
-        k1, k2, k3, _, p1, p2 = (float(about.get(name) or 0.0) for name in LENS)
-    except (KeyError, TypeError, ValueError):
-        raise ConfigError(f"{file}: frame {n} has no fl_x and no camera_angle_x") from None
-    scale = width / float(about.get("w") or width)  # a folder of smaller copies has the intrinsics of the large ones
+    about = {name: value for lens in (data, frame) for name in LENS if (value := getattr(lens, name)) is not None}
+    if "fl_x" in about:
+        fx = about["fl_x"]
+    elif "camera_angle_x" in about:
+        fx = 0.5 * width / math.tan(0.5 * about["camera_angle_x"])
+    else:
+        raise ConfigError(f"{file}: frame {n} has no fl_x and no camera_angle_x; add one of them")
+    fy = about.get("fl_y", fx)
+    cx, cy = about.get("cx", width / 2.0) - 0.5, about.get("cy", height / 2.0) - 0.5
+    k1, k2, k3, p1, p2 = (about.get(name, 0.0) for name in ("k1", "k2", "k3", "p1", "p2"))
+    scale = width / about.get("w", width)  # a folder of smaller copies has the intrinsics of the large ones
     fx, fy, cx, cy = fx * scale, fy * scale, (cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5
     straight = not any((k1, k2, k3, p1, p2)) and fx == fy
     if not straight:

@@ -7,11 +7,9 @@ of lamps.
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
-from typing import Any
 
 import msgspec
 
@@ -34,8 +32,10 @@ from agent.core.config import (
     Target,
     Trial,
     convert,
-    explain,
+    odd_numbers,
+    parse_toml,
     read_toml,
+    typed,
 )
 
 
@@ -52,8 +52,8 @@ def read_fleet(path: Path) -> Fleet:
     data = read_toml(path)
     landmarks = data.get("landmarks")
     if not (isinstance(landmarks, dict) and "file" in landmarks):
-        return convert(data, Fleet, path)
-    fleet = convert({key: value for key, value in data.items() if key != "landmarks"}, Fleet, path)
+        return typed(data, Fleet, path)
+    fleet = typed({key: value for key, value in data.items() if key != "landmarks"}, Fleet, path)
     return msgspec.structs.replace(fleet, landmarks=landmarks_of(landmarks, path, fleet.tank))
 
 
@@ -78,14 +78,10 @@ def with_behaviour(fleet: Fleet, name: str, text: str) -> Fleet:
     """The fleet, one of whose robots does something else: `text` is what stands behind `behaviour =` in a fleet file,
     such as { kind = "hold" }. Raises ConfigError with one line."""
     try:
-        data = tomllib.loads(f"behaviour = {text}")
-        told = msgspec.convert(data, _Told).behaviour
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(
-            f"""--behaviour {text}: not valid TOML: {error}; write it as in the fleet file: '{{ kind = "hold" }}'"""
-        ) from None
-    except msgspec.ValidationError as error:
-        raise ConfigError(f"--behaviour: {explain(error, data, _Told)}") from None
+        data = parse_toml(f"behaviour = {text}", f"--behaviour {text}")
+    except ConfigError as error:
+        raise ConfigError(f"""{error}; write it as in the fleet file: '{{ kind = "hold" }}'""") from None
+    told = convert(data, _Told, "--behaviour").behaviour
     told_so = msgspec.structs.replace(fleet.robot[name], behaviour=told)
     fleet = msgspec.structs.replace(fleet, robot={**fleet.robot, name: told_so})
     for key, remedy in broken_rules(fleet):
@@ -110,8 +106,7 @@ ALIKE = {"red": ("orange",), "orange": ("red",)}  # balls that cannot be told ap
 
 def broken_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
     """Every mistake as (key, what to change)."""
-    for key in _not_finite(msgspec.to_builtins(fleet)):
-        yield key, "not a finite number; correct the value"
+    yield from odd_numbers(msgspec.to_builtins(fleet))
     if not fleet.robot:
         yield "robot", "the fleet has no robot; add a table [robot.r1]"
     if not fleet.target:
@@ -150,18 +145,6 @@ def two_worlds(fleet: Fleet) -> str | None:
         f"'{real}' is a real device and '{twin}' lives in the twin, whose time is not the system's; "
         f"give all robots twin: devices, or none"
     )
-
-
-def _not_finite(value: Any, key: str = "") -> Iterator[str]:
-    """Keys of the numbers that are infinite or not a number."""
-    if isinstance(value, float) and not math.isfinite(value):
-        yield key
-    if isinstance(value, dict):
-        for name, child in value.items():
-            yield from _not_finite(child, f"{key}.{name}" if key else name)
-    if isinstance(value, list | tuple):
-        for i, child in enumerate(value):
-            yield from _not_finite(child, f"{key}[{i}]")
 
 
 def _tank_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:

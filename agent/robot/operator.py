@@ -183,8 +183,9 @@ def lacking(what: Args) -> str:
 
 # --- memory of answers ---
 
-ORDERS = 64  # of each console
-CONSOLES = 16  # a fleet file names fewer; where any console may order, the one that was silent for longest is forgotten
+ORDERS = 64  # of each session of a console
+SESSIONS = 4  # of each console; the one that was silent for longest is forgotten
+ALL_SESSIONS = 16  # a fleet file names fewer consoles; where any may order, likewise
 
 
 class Answered(NamedTuple):
@@ -192,38 +193,55 @@ class Answered(NamedTuple):
     answer: Answer
 
 
+class Known(Revertible):
+    """What one session of a console has ordered."""
+
+    def __init__(self) -> None:
+        self.answered: dict[int, Answered] = {}  # by the order's id; the oldest stands first
+        self.forgotten_ns = -1  # stamp of the newest State that one went by which was carried out and is forgotten
+
+    def keep(self, order: Order, answer: Answer) -> None:
+        self.answered[order.id] = Answered(order, answer)
+        while len(self.answered) > ORDERS:
+            gone, its_answer = self.answered.pop(next(iter(self.answered)))
+            if its_answer.ok and gone.seen is not None:
+                self.forgotten_ns = max(self.forgotten_ns, gone.seen[1])
+
+
 class Memory(Revertible):
     """How orders were answered, so that one that comes again is answered again and carried out once.
 
-    Since the robot's start; what came before that is refused by its State's incarnation.
+    Since the robot's start; what came before that is refused by its State's incarnation. An id says which order it is
+    and no more: how old it is, the State says that was looked at.
     """
 
     def __init__(self) -> None:
-        self._by_console: dict[str, dict[int, Answered]] = {}  # the one that ordered last stands last
+        self._sessions: dict[tuple[str, int], Known] = {}  # by console and session; who ordered last stands last
 
     def again(self, console: str, order: Order) -> Answer | str:
         """The answer that the same order was given; else why it cannot be told from one that was; empty: it is new.
 
         A stop is never taken for another order, nor for one that is forgotten.
         """
-        known = self._by_console.get(console, {})
-        if (before := known.get(order.id)) is not None:
+        known = self._sessions.get((console, order.session))
+        if known is None:
+            return ""
+        if (before := known.answered.get(order.id)) is not None:
             same = (before.order.verb, before.order.args) == (order.verb, order.args)
             if same:
                 return before.answer
             return "" if order.verb in URGENT else f"another order had this id, {order.id}; order again"
-        if order.verb not in URGENT and len(known) >= ORDERS and order.id < min(known):
+        if order.verb not in URGENT and order.seen is not None and order.seen[1] <= known.forgotten_ns:
             return "it came after many later ones of the same console; order again"
         return ""
 
     def keep(self, console: str, order: Order, answer: Answer) -> None:
-        known = self._by_console.pop(console, {})
-        known[order.id] = Answered(order, answer)
-        while len(known) > ORDERS:
-            del known[min(known)]
-        self._by_console[console] = known
-        while len(self._by_console) > CONSOLES:
-            del self._by_console[next(iter(self._by_console))]
+        known = self._sessions.pop((console, order.session), None) or Known()
+        known.keep(order, answer)
+        self._sessions[console, order.session] = known
+        own = [one for one in self._sessions if one[0] == console]
+        for silent in own[:-SESSIONS] or list(self._sessions)[:-ALL_SESSIONS]:
+            del self._sessions[silent]
 
 
 # --- rights ---

@@ -24,7 +24,7 @@ from rich.console import Console
 
 from agent.clock import machine
 from agent.clock.clock import SystemClock
-from agent.core.config import ConfigError, Fleet, dump
+from agent.core.config import ConfigError, Fleet, dump, write_whole
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, gimbal_deg, servos_us
 from agent.core.ranging.focus import Peak, TiltedPeak, fit_peak, lens_position, phase_sigma, with_sag
@@ -305,7 +305,7 @@ def run(fleet_path: Path, name: str, out: Path | None, console: Console) -> None
     else:
         with bench_by_hand(fleet, name) as (camera, place):  # its questions say how far it is
             calibration = calibrate(fleet, name, camera, place, lambda done, total: None)
-    file.write_text(dump(calibration), encoding="utf-8")
+    write_whole(file, dump(calibration))
     console.print(describe(calibration))
     console.print(f"written to {file}")
 

@@ -14,7 +14,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, write_whole, writing
 from agent.core.ranging.camera_model import FocusFit, load_focus
 from agent.core.ranging.focus import FARTHEST_M, Array, NoPeak, at_tilt, h
 from agent.perception.depth_peaks import TEXTS, BoxRange, GridPeaks, any_part, as_json, box_range, each_part
@@ -71,7 +71,7 @@ def draw(result: DepthMap, path: Path, box: Box | None = None) -> None:
         draw_scale(page[TOP_PX : TOP_PX + size[1], right + size[0] + 14 :], limits)
     done, encoded = cv2.imencode(".png", page)
     assert done  # of 8 bits it always is
-    path.write_bytes(encoded.tobytes())
+    write_whole(path, encoded.tobytes())
 
 
 def scale_of(values: Array) -> tuple[float, float] | None:
@@ -214,7 +214,7 @@ def write_csv(result: DepthMap, path: Path) -> None:
     split = any_part(result.used_parts(), along)
     blocks = _lines(result.blocks, result.block_px, np.ones(split.shape, bool))
     parts = {} if result.parts is None else _lines(result.parts, result.block_px / along, each_part(split, along))
-    with path.open("w", newline="", encoding="utf-8") as file:
+    with writing(path), path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
         for (row, col), line in blocks.items():
@@ -283,7 +283,7 @@ def depth_map(
     """Sweep `source` (a camera address, or a directory of photographs), write the PNG `out` and a CSV beside it.
 
     block: edge in pixels. growth: see `sweep`. box: around one thing, whose range goes into a JSON file beside them.
-    Raises CameraError and ConfigError, each one line.
+    Raises CameraError and ConfigError, each one line, and OSError where nothing can be written.
     """
     if out.suffix.lower() != ".png" or not out.parent.is_dir():
         raise ConfigError(f"{out}: give --out a name that ends in .png, in a folder that exists")
@@ -297,13 +297,10 @@ def depth_map(
     result = measure(taken, block, focus)
     if box is not None and taken.box_clarity is not None:
         result = result._replace(box_range=box_range(taken.lens_positions, taken.box_clarity, box, focus))
-    try:
-        write_csv(result, out.with_suffix(".csv"))
-        draw(result, out, box)
-        if box is not None and isinstance(result.box_range, BoxRange):
-            out.with_suffix(".json").write_text(as_json(box, result.box_range), encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written: {error.strerror}; choose another place") from None
+    write_csv(result, out.with_suffix(".csv"))
+    draw(result, out, box)
+    if box is not None and isinstance(result.box_range, BoxRange):
+        write_whole(out.with_suffix(".json"), as_json(box, result.box_range))
     return result
 
 

@@ -19,8 +19,9 @@ from agent.core.config import ConfigError
 from agent.perception.enhancement.enhance import BUDGET_MS, Enhancer, Image, Variant, enhancer
 from agent.process.command import Progress, new_folder, with_bar
 from hw.camera.camera import CameraGone
-from hw.camera.files import SUFFIXES, picture_files, read_picture
+from hw.camera.files import SUFFIXES, picture_files, read_picture, write_picture
 from hw.camera.open import open_camera
+from replay.files.frames import film
 
 # --- sources of pictures ---
 # A source of pictures by name: an image, a folder of images, a video file, or the address of a camera.
@@ -142,7 +143,7 @@ def run(
     render = side_by_side_with(way) if side_by_side else way.apply
     make_folder(out)
     if found.kind == "video":
-        with_bar(console, "enhance", lambda show: film(found, out / f"{Path(source).stem}.mp4", render, show))
+        with_bar(console, "enhance", lambda show: enhanced_film(found, out / f"{Path(source).stem}.mp4", render, show))
     else:
         with_bar(console, "enhance", lambda show: stills(found, out, render, show))
     for problem in problems:
@@ -170,29 +171,18 @@ def stills(found: Pictures, out: Path, render: Render, show: Progress) -> None:
         name = f"{picture.name}.png" if name in used else name
         used.add(name)
         file = out / name
-        if not cv2.imwrite(str(file), render(picture.image)):
-            raise ConfigError(f"{file}: cannot be written; choose another folder with --out")
+        write_picture(file, render(picture.image))
         show(done, found.total or done)
     if found.total:
         show(found.total, found.total)  # with those that were skipped
 
 
-def film(found: Pictures, file: Path, render: Render, show: Progress) -> None:
+def enhanced_film(found: Pictures, file: Path, render: Render, show: Progress) -> None:
     """One MP4 with the rate of the source."""
-    rate_hz = found.rate_hz or 30.0
-    first = next(found.each)  # there is one, or the walk has said why not
-    result = render(first.image)
-    size = (result.shape[1], result.shape[0])
-    sink = cv2.VideoWriter(str(file), cv2.VideoWriter.fourcc(*"mp4v"), rate_hz, size)
-    if not sink.isOpened():
-        raise ConfigError(f"{file}: cannot be written; choose another folder with --out")
-    try:
-        sink.write(result)
-        for done, picture in enumerate(found.each, start=2):
-            sink.write(render(picture.image))
+    with film(file, found.rate_hz or 30.0) as made:
+        for done, picture in enumerate(found.each, start=1):
+            made.add(render(picture.image))
             show(done, max(found.total or done, done))
-    finally:
-        sink.release()
 
 
 # --- pairs of pictures ---

@@ -19,12 +19,12 @@ from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from agent.core.config import ConfigError, read_toml
+from agent.core.config import ConfigError, read_toml, write_whole
 from agent.core.linear_algebra import upper
 from agent.core.messages import Symmetric
 from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import TiltedPeak, with_sag
-from agent.process.command import Failed, free_name, write_whole
+from agent.process.command import Failed, free_name
 
 # --- fits ---
 # Fit what calibration measured: the focus hyperbola. And how such fits are made, on a handful of unknowns: by Gauss-

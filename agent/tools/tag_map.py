@@ -20,11 +20,11 @@ from rich.table import Table
 
 from agent.capabilities.swim.landmarks import axes, corners, on_face, plane
 from agent.core.codec import READABLE, decode
-from agent.core.config import ConfigError, Fleet, Landmarks, Tag, Tank, read_toml
+from agent.core.config import ConfigError, Fleet, Landmarks, Tag, Tank, read_toml, write_whole
 from agent.core.ranging.camera_model import Calibration, at_lens_position, load_calibration
 from agent.core.step_io import Inputs, SeenTag
 from agent.perception.tags import Array, find_tags
-from agent.process.command import Failed, Progress, free_name, with_bar, write_whole
+from agent.process.command import Failed, Progress, free_name, with_bar
 from agent.robot.fleet_reader import broken_landmark_rules, load_fleet
 from agent.tools.enhance import pictures
 from agent.tools.tag_bundle import CORNERS, HUBER, Bundle, Cameras, Prior, SurveyFrame, Tags, bundle, turned_by

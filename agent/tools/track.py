@@ -17,20 +17,20 @@ from pathlib import Path
 from typing import NamedTuple
 
 import cv2
-import numpy as np
 from rich.table import Table
 
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, write_whole
 from agent.perception.tracking.appearance import Box, overlap
 from agent.perception.tracking.follow import FOLLOWED, Followed, Follower, State, load_box_tracker, parse_box
 from agent.process.command import new_file, new_folder, plain_console, run_folder, with_bar
 from agent.tools.enhance import Picture, Pictures, pictures
 from hw.camera.camera import Image
+from hw.camera.files import write_picture
+from replay.files.frames import CODECS, film
 
 # --- pictures with the box ---
 # Pictures with the box that was followed drawn in: a folder of them, or a video.
 
-VIDEOS = {".mp4": "mp4v", ".avi": "MJPG"}  # suffix -> codec that every OpenCV writes
 RATE_HZ = 30.0  # of the annotated video
 GREEN, AMBER, RED = (60, 220, 60), (40, 170, 250), (60, 60, 230)
 COLOURS: dict[State, tuple[int, int, int]] = {
@@ -53,10 +53,10 @@ def annotated(image: Image, now: Followed) -> Image:
 
 def check_out(out: Path) -> None:
     """Raises ConfigError for what is no new video and no new folder."""
-    if out.suffix.lower() in VIDEOS:
+    if out.suffix.lower() in CODECS:
         new_file(out)
     elif out.suffix and not out.is_dir():
-        raise ConfigError(f"{out}: give --out a folder, or a video that ends in {' or '.join(VIDEOS)}")
+        raise ConfigError(f"{out}: give --out a folder, or a video that ends in {' or '.join(CODECS)}")
     else:
         new_folder(out)
 
@@ -66,22 +66,9 @@ def writer(out: Path | None) -> Iterator[Show]:
     """Where annotated pictures go: a video if `out` ends as one, else a folder. Raises ConfigError."""
     if out is None:
         yield lambda image, name: None
-    elif out.suffix.lower() in VIDEOS:
-        film: list[cv2.VideoWriter] = []
-
-        def add(image: Image, name: str) -> None:
-            if not film:
-                codec = cv2.VideoWriter.fourcc(*VIDEOS[out.suffix.lower()])
-                film.append(cv2.VideoWriter(str(out), codec, RATE_HZ, (image.shape[1], image.shape[0])))
-                if not film[0].isOpened():
-                    raise ConfigError(f"{out}: cannot be written; choose another place or give a folder")
-            film[0].write(np.ascontiguousarray(image))
-
-        try:
-            yield add
-        finally:
-            for one in film:
-                one.release()
+    elif out.suffix.lower() in CODECS:
+        with film(out, RATE_HZ) as made:
+            yield lambda image, name: made.add(image)
     else:
         try:
             out.mkdir(parents=True, exist_ok=True)
@@ -93,8 +80,7 @@ def writer(out: Path | None) -> Iterator[Show]:
 def _save(folder: Path, image: Image, name: str) -> None:
     stem = Path(name).stem
     path = folder / f"{stem.zfill(6) if stem.isdigit() else stem}.png"
-    if not cv2.imwrite(str(path), image):
-        raise ConfigError(f"{path}: cannot be written; choose another folder")
+    write_picture(path, image)
 
 
 # --- against marked boxes ---
@@ -208,11 +194,8 @@ def score(truth: Iterable[Truth], said: Sequence[Followed], rate_hz: float) -> S
 
 
 def write_score(score: Score, path: Path) -> None:
-    """As JSON. Raises ConfigError where that is not possible."""
-    try:
-        path.write_text(json.dumps(score._asdict(), indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be written: {error.strerror}; give --out another place") from None
+    """As JSON. Raises OSError where that is not possible."""
+    write_whole(path, json.dumps(score._asdict(), indent=1) + "\n")
 
 
 def table(score: Score) -> Table:

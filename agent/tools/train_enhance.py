@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, writing
 from agent.perception.enhancement import lu2net
 from agent.process.command import run_folder, with_bar
 from agent.tools.evaluate_enhance import summary, table
@@ -94,7 +94,8 @@ def curves(points: Iterable[Point], out: Path) -> None:
     from matplotlib.figure import Figure
 
     points = list(points)
-    with out.with_suffix(".csv").open("w", newline="") as file:
+    table = out.with_suffix(".csv")
+    with writing(table), table.open("w", newline="") as file:
         rows = csv.writer(file)
         rows.writerow(Point._fields)
         rows.writerows(points)

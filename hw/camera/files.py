@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -17,12 +18,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.clock import machine
-from agent.core.config import ConfigError
+from agent.core.codec import stated_size
+from agent.core.config import ConfigError, inside, read_file, write_whole
 from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
 
 # --- picture files ---
 
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+MOST_BYTES = 2**30  # of a picture's file
+MOST_PIXELS = 2**28  # that its head may state: more than any sensor has, and 800 MB of memory
 
 
 def picture_files(folder: Path) -> list[Path]:
@@ -45,9 +49,14 @@ def read_picture(path: Path, grey: bool = False, stretch: bool = False) -> NDArr
 
     Raises ConfigError for a file that is not there or cannot be read, and for values that are not finite.
     """
-    if not path.is_file():
-        raise ConfigError(f"{path}: no such file; give a picture")
-    raw = cv2.imread(str(path), (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_ANYDEPTH)
+    data = read_file(path, MOST_BYTES, "give a picture")
+    width, height = stated_size(data) or (0, 0)
+    if width * height > MOST_PIXELS:  # before memory is taken for it
+        raise ConfigError(f"{path}: says that it has {width} x {height} pixels; give a smaller picture")
+    raw = None
+    with suppress(cv2.error, MemoryError):  # no data, a head that states more pixels than OpenCV takes
+        how = (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_ANYDEPTH
+        raw = cv2.imdecode(np.frombuffer(data, np.uint8), how)
     if raw is None:
         raise ConfigError(f"{path}: not an image that OpenCV can read; replace it or take it away")
     if raw.dtype == np.uint8:
@@ -58,7 +67,13 @@ def read_picture(path: Path, grey: bool = False, stretch: bool = False) -> NDArr
         white = max(float(raw.max()), 1e-9)
     else:
         white = 1.0 if raw.dtype.kind == "f" else float(np.iinfo(raw.dtype.str).max)
-    return (np.clip(raw, 0, white).astype(np.float64) * (255.0 / white)).round().astype(np.uint8)
+    return np.asarray((np.clip(raw, 0, white).astype(np.float64) * (255.0 / white)).round(), np.uint8)
+
+
+def write_picture(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
+    """As PNG. Raises OSError, which names the file."""
+    _, data = cv2.imencode(".png", image)  # of whole numbers it always is one
+    write_whole(path, data.tobytes())
 
 
 # --- stack of photographs ---
@@ -170,9 +185,13 @@ def _photograph(row: dict[str, str | None], directory: Path, where: str) -> Phot
         value = math.nan
     if not math.isfinite(value):
         raise CameraError(f"{where}: focus_position '{focus_position}' is not a number; correct it")
-    if not (directory / name).is_file():
+    try:
+        path = inside(directory, name)
+    except ConfigError as error:
+        raise CameraError(f"{where}: {error}") from None
+    if not path.is_file():
         raise CameraError(f"{where}: there is no file '{name}' in {directory}; correct the name or remove the row")
-    return Photograph(value, directory / name)
+    return Photograph(value, path)
 
 
 # --- video ---

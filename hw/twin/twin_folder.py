@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import fcntl
 import os
+import stat
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from agent.core.config import ConfigError, Fleet
@@ -19,10 +20,29 @@ RUN_FILES = ("*.serial", "*.camera", "*.bench", "*.flash.json", "*.firmware.log"
 
 
 def twin_dir(fleet: Fleet) -> Path:
-    """The folder of a fleet's twin: `twin.dir` of the fleet file, else one per user and fleet among temporary files."""
-    if fleet.twin.dir is not None:
-        return Path(fleet.twin.dir)
-    return Path(tempfile.gettempdir()) / f"aucamp-{os.getuid()}" / fleet.fleet
+    """The folder of a fleet's twin: `twin.dir` of the fleet file, else one per user and fleet among temporary files.
+
+    Raises ConfigError where somebody else could have put sockets and clock there.
+    """
+    own = Path(tempfile.gettempdir()) / f"aucamp-{os.getuid()}"
+    folder = own / fleet.fleet if fleet.twin.dir is None else Path(fleet.twin.dir)
+    _check_owner(folder)
+    return folder
+
+
+def _check_owner(folder: Path) -> None:
+    """Raises ConfigError for a folder among temporary files, where anybody may make one of any name, that another user
+    made, or can write to; and for such a folder above it."""
+    shared = Path(tempfile.gettempdir())
+    for one in (folder, *folder.parents):
+        if not one.is_relative_to(shared) or one == shared:
+            return
+        with suppress(OSError):  # it is not there yet
+            about = one.lstat()
+            if about.st_uid != os.getuid() or not stat.S_ISDIR(about.st_mode):
+                raise ConfigError(f"{one}: is no folder that you made; remove it, or set twin.dir to a folder of yours")
+            if about.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+                raise ConfigError(f"{one}: others can write to it; remove it, or set twin.dir to a folder of yours")
 
 
 def clock_path(fleet: Fleet) -> Path:
@@ -42,7 +62,9 @@ def locked(folder: Path) -> Iterator[Path]:
             f"{folder}: path too long for a socket; set twin.dir to one of at most {LONGEST_FOLDER} bytes"
         )
     try:
-        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+        for one in reversed((folder, *folder.parents)):
+            one.mkdir(mode=0o700, exist_ok=True)
+        _check_owner(folder)
         lock = os.open(folder / "lock", os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o600)
     except OSError as error:
         raise ConfigError(f"{folder}: cannot be used ({error.strerror}); set twin.dir to a folder of yours") from None

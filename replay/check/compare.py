@@ -8,7 +8,6 @@ from __future__ import annotations
 import math
 import re
 import struct
-import tomllib
 from collections.abc import Collection, Iterator, Sequence
 from functools import cache
 from pathlib import Path
@@ -16,7 +15,7 @@ from typing import Any, NamedTuple
 
 import msgpack
 
-from agent.core.config import ConfigError, Struct, convert
+from agent.core.config import Struct, convert, read_toml
 from agent.core.messages import SCHEMA
 from agent.core.step_io import OLDER, Outputs
 
@@ -74,13 +73,7 @@ class IgnoreFile(Struct, frozen=True, kw_only=True):
 
 def load_ignored(path: Path) -> tuple[Ignored, ...]:
     """The rows [[ignore]] of a TOML file. Raises ConfigError with one line."""
-    try:
-        text = path.read_text(encoding="utf-8")
-        return convert(tomllib.loads(text), IgnoreFile, path).ignore
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read: {error.strerror}; give a file with rows [[ignore]]") from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(f"{path}: not valid TOML: {error}") from None
+    return convert(read_toml(path), IgnoreFile, path).ignore
 
 
 def differences(recorded: bytes, replayed: bytes) -> list[Difference]:

@@ -8,7 +8,6 @@ TOLERANCE, and the verdict says so.
 from __future__ import annotations
 
 import re
-import tomllib
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from hashlib import sha256
@@ -20,7 +19,7 @@ from msgspec import UNSET
 from agent.clock import machine
 from agent.core.capability_messages import Claim, Keyframe, Light
 from agent.core.codec import READABLE, Refusal, decode, encode
-from agent.core.config import ConfigError, Fleet, convert
+from agent.core.config import ConfigError, Fleet, convert, parse_toml
 from agent.core.messages import SCHEMA, Estimate, Order, Presence
 from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Heard, Inputs, Ordered
@@ -159,7 +158,7 @@ def _open_box(path: Path) -> BlackBox:
         recorded=sum(each.steps for each in heads),
         complete=all(each.complete for each in heads),
         schema=schema,
-        retired=retire(tomllib.loads(attachments["fleet.toml"])),
+        retired=retire(parse_toml(attachments["fleet.toml"], path)),
     )
 
 
@@ -186,11 +185,11 @@ def retire(data: Mapping[str, Any]) -> tuple[str, ...]:
 def attached_toml(path: Path, name: str, attachments: Mapping[str, str], kind: type[T]) -> T:
     """An attachment as the struct it holds, without settings that there are no more. Raises ConfigError, one line."""
     try:
-        data = tomllib.loads(attachments[name])
-        retire(data)
-        return convert(data, kind, path / name)
-    except (tomllib.TOMLDecodeError, RecursionError):
+        data = parse_toml(attachments[name], path / name)
+    except ConfigError:
         raise ConfigError(f"{path}: damaged: {name} in it is no TOML; take another copy of the file") from None
+    retire(data)
+    return convert(data, kind, path / name)
 
 
 class Head(NamedTuple):

@@ -1,4 +1,5 @@
-"""Camera frames and what vision made of them, as they stand in a black box: enough to run vision once more.
+"""Camera frames and what vision made of them, as they stand in a black box: enough to run vision once more; and films
+of pictures.
 
 A frame stands there once: its picture on a channel that viewers draw, CAMERA_IMAGE or SWEEP_IMAGE, and right behind it,
 on FRAME with the same sequence number, what a picture cannot say. Frames of one camera are in the order in which vision
@@ -8,7 +9,10 @@ saw them, and that order matters: where vision looks next depends on the frame b
 from __future__ import annotations
 
 import contextlib
+import errno
+from collections.abc import Iterator
 from functools import cache
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import cv2
@@ -22,7 +26,7 @@ from msgspec import Meta
 from numpy.typing import NDArray
 
 from agent.core.codec import Refusal, decode, encode, stated_size
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, writing
 from agent.core.messages import Message
 from agent.core.step_io import Sighting
 from replay.files import channels
@@ -164,3 +168,72 @@ def pixels(of: Picture) -> NDArray[np.uint8]:
     if image is None:
         raise ConfigError(f"frame {of.frame}: its {of.format} is broken; run `aucamp replay recover` on the file")
     return image.astype(np.uint8, copy=False)
+
+
+# --- films that are written ---
+
+CODECS = {".mp4": "mp4v", ".avi": "MJPG"}  # by the end of the name: what every OpenCV writes
+MARGIN = bytes(4096)  # that has to fit on the disk behind a film: else its own end may not have
+
+
+class Film:
+    """Frames of one size, the first one's. The library that writes them keeps to itself what goes wrong."""
+
+    def __init__(self, path: Path, rate_hz: float) -> None:
+        self._path, self._rate_hz = path, rate_hz
+        self._writer: cv2.VideoWriter | None = None
+        self._size, self._count = (0, 0), 0
+
+    def add(self, image: NDArray[np.uint8]) -> None:
+        """(height, width, 3), blue green red. Raises OSError where no film can be written."""
+        size = image.shape[1], image.shape[0]
+        if self._writer is None:
+            self._path.open("ab").close()  # says why, where it cannot be
+            codec = cv2.VideoWriter.fourcc(*CODECS[self._path.suffix.lower()])
+            self._writer, self._size = cv2.VideoWriter(str(self._path), codec, self._rate_hz, size), size
+            if not self._writer.isOpened():
+                raise OSError(errno.EIO, f"no film of {size[0]} x {size[1]} pixels can be written", str(self._path))
+        if size != self._size:
+            raise ValueError(f"a frame of {size} pixels in a film of {self._size}")
+        self._writer.write(np.ascontiguousarray(image))
+        self._count += 1
+
+    def finish(self) -> None:
+        """Raises OSError where what is on the disk is not the film."""
+        self.release()
+        if not self._count:
+            return
+        with writing(self._path), self._path.open("r+b", buffering=0) as file:
+            end = file.seek(0, 2)
+            file.write(MARGIN)
+            file.truncate(end)
+        written = cv2.VideoCapture(str(self._path))
+        count = int(written.get(cv2.CAP_PROP_FRAME_COUNT))
+        written.set(cv2.CAP_PROP_POS_FRAMES, self._count - 1)
+        whole = count == self._count and written.read()[0]
+        written.release()
+        if not whole:
+            raise OSError(errno.EIO, "the film could not be written to its end", str(self._path))
+
+    def release(self) -> None:
+        if self._writer is not None:
+            self._writer.release()
+        self._writer = None
+
+
+@contextlib.contextmanager
+def film(path: Path, rate_hz: float) -> Iterator[Film]:
+    """A new film, whole after the block; where it breaks off the file is taken away: half a film looks like a whole
+    one. Raises OSError."""
+    made = Film(path, rate_hz)
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # a line for each frame that finds no room
+    try:
+        yield made
+        made.finish()
+    except BaseException:
+        made.release()
+        path.unlink(missing_ok=True)
+        raise
+    finally:
+        cv2.utils.logging.setLogLevel(level)

@@ -115,7 +115,7 @@ class CreatureTrack(NamedTuple):
 def true_path(folder: Path, creature: str) -> Path3 | None:
     """Where the middle of a creature was; None where no twin has left that."""
     file = folder / CREATURES
-    if not file.exists():
+    if not file.is_file():
         return None
     with file.open(encoding="utf-8", newline="") as rows:
         found = [
@@ -147,7 +147,7 @@ def _true_boxes(folder: Path, creature: str) -> dict[tuple[str, int], tuple[True
     """By robot and number of the frame: the box around it, and how many of its pixels show. Frames that show nothing
     of it, even of what would be without what hides it, are not there."""
     file = folder / BOXES
-    if not file.exists():
+    if not file.is_file():
         return {}
     with file.open(encoding="utf-8", newline="") as rows:
         return {

@@ -12,6 +12,7 @@ from pathlib import Path
 import jinja2
 from matplotlib.figure import Figure
 
+from agent.core.config import write_whole
 from agent.robot.arbiter import priorities
 from replay.files.info import pace
 from replay.files.log import read
@@ -49,17 +50,15 @@ def _report(path: Path, out: Path | None, depth: MeasureDepth | None) -> Path:
     reasons = run.summary["reasons"] if run.summary else []
     page = jinja2.Environment(autoescape=True).from_string(PAGE)
     out = out or page_of(path)
-    out.write_text(
-        page.render(
-            title=f"Fleet {run.fleet.fleet}",
-            verdict=run.summary["verdict"] if run.summary else "",
-            reasons=reasons if len(reasons) > 1 else [],  # one alone is in the sentence
-            lead=lead(run, survey),
-            about=_about(run),
-            sections=_sections(run, survey, depth),
-        ),
-        encoding="utf-8",
+    text = page.render(
+        title=f"Fleet {run.fleet.fleet}",
+        verdict=run.summary["verdict"] if run.summary else "",
+        reasons=reasons if len(reasons) > 1 else [],  # one alone is in the sentence
+        lead=lead(run, survey),
+        about=_about(run),
+        sections=_sections(run, survey, depth),
     )
+    write_whole(out, text)
     return out
 
 

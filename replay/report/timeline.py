@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from agent.capabilities.survey.coverage_map import CoverageMap, grid_of
 from agent.core.capability_messages import Frame, holds
 from agent.core.codec import READABLE, Refusal, decode
-from agent.core.config import ConfigError, Fleet
+from agent.core.config import ConfigError, Fleet, check_depth, read_text
 from agent.core.messages import Answer, Estimate, LogLine, State, Symmetric, Vector
 from agent.core.robot_view import in_own_name
 from agent.core.step_io import Grant, Inputs, Outputs, Sighting, SweepOutcome
@@ -435,8 +435,10 @@ def _summary(run: Path) -> dict[str, Any] | None:
     if not path.exists():
         return None
     try:
-        summary: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        text = read_text(path, "repair it")
+        check_depth(text, path)
+        summary: dict[str, Any] = json.loads(text)
+    except ValueError:
         raise ConfigError(f"{run}: no usable summary.json; repair it, or remove it to do without the truth") from None
     return summary
 
@@ -497,6 +499,7 @@ def surveyed(fleet: Fleet, boxes: Sequence[BlackBox]) -> Surveyed | None:
     told = sorted(frames.values(), key=lambda each: each[0])
     for _, frame in told:
         together.add(frame)
+    together.let_go()
     return Surveyed(known, told, paths, together)
 
 

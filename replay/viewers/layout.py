@@ -14,7 +14,7 @@ from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-from agent.core.config import ConfigError, Fleet
+from agent.core.config import Fleet, write_whole
 from agent.core.topics import target_chunk
 from replay.files import channels
 from replay.files.channels import COVERAGE, KEYFRAME_POINTS, NEXT_VIEW, PREVIEW, SURVEY, Channel, match, name
@@ -30,11 +30,8 @@ def shipped(name: str) -> Path:
 
 
 def write(fleet: Fleet, out: Path) -> None:
-    """Raises ConfigError if the file cannot be written."""
-    try:
-        out.write_text(json.dumps(foxglove_layout(fleet), indent=1) + "\n", encoding="utf-8")
-    except OSError as error:
-        raise ConfigError(f"{out}: cannot be written ({error.strerror}); give another --out") from None
+    """Raises OSError if the file cannot be written."""
+    write_whole(out, json.dumps(foxglove_layout(fleet), indent=1) + "\n")
 
 
 def foxglove_layout(fleet: Fleet) -> dict[str, Any]:

@@ -96,6 +96,7 @@ class SurveyChannels:
         for made in self.measured(said):
             yield made
             if self._known is not None and self._known.add(said.frame):
+                self._known.let_go()
                 yield name(channels.COVERAGE), said.sent_ns, cells(self._known, said.sent_ns)
 
 

@@ -1,13 +1,30 @@
 """Every mistake in a fleet file is one line that names the file, the key and the remedy."""
 
+import os
+import time
+import tracemalloc
 from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
 
 import agent
-from agent.core.config import ConfigError, Fleet, Pose, Tank, Target, Twin, common, dump
-from agent.robot.fleet_reader import load_fleet
+from agent.core.codec import too_deep
+from agent.core.config import (
+    ConfigError,
+    Fleet,
+    Pose,
+    Tank,
+    Target,
+    Twin,
+    common,
+    dump,
+    inside,
+    read_toml,
+    write_whole,
+)
+from agent.robot.fleet_reader import load_fleet, with_behaviour
+from tests.full_disk import room
 from tests.places import ROOT
 
 BALL = 'detector = "ball"\nradius_m = 0.07'
@@ -60,6 +77,8 @@ MISTAKES = {
     ),
     "not a number": (("x_m = 0.30", "x_m = nan"), "'robot.r1.pose.x_m'", "finite", "correct"),
     "infinite": (("size_m = [1.5,", "size_m = [inf,"), "'tank.size_m[0]'", "finite", "correct"),
+    "beyond all tanks": (("size_m = [1.5,", "size_m = [1e300,"), "'tank.size_m[0]'", "beyond 1e+04", "correct"),
+    "beyond all seeds": (("[estimation]", "[twin]\nseed = 9223372036854775808\n[estimation]"), "'twin.seed'", "beyond"),
     "outside the tank": (("x_m = 1.25", "x_m = 125.0"), "'robot.r2.pose.x_m'", "outside the tank", "0 to 1.5"),
     "water over the rim": (("surface_m = 0.5", "surface_m = 5.0"), "'tank.surface_m'", "rim", "0.8"),
     "millimetres": (("radius_m = 0.07", "radius_m = 70.0"), "'target.ball.radius_m'", "does not fit"),
@@ -312,3 +331,80 @@ def test_what_is_wrong_is_one_line_that_says_what_to_change(tmp_path: Path, text
 
 def test_an_open_fleet_may_call_a_robot_as_it_likes(tmp_path: Path) -> None:
     assert "view" in access_rules_load(tmp_path, TANK.replace("r5", "view")).robot
+
+
+DEEP = {
+    "lists": "x = " + "[" * 5000,
+    "tables": "x = " + "{ a = " * 5000,
+    "a dotted key": ".".join("a" * 20_000) + " = 1",
+    "quoted parts": " . ".join(["'a'", '"b"'] * 5000) + " = 1",
+    "a dotted table": f"[{'.'.join('a' * 20_000)}]",
+    "behind a string": 'x = """[ " \\""" ]"""\ny = ' + "[" * 5000,
+}
+
+
+@pytest.mark.parametrize("text", DEEP.values(), ids=DEEP)
+def test_what_is_nested_too_deeply_is_refused_before_it_is_parsed(tmp_path, text: str) -> None:
+    tracemalloc.start()
+    try:
+        with pytest.raises(ConfigError, match=r"fleet\.toml: nested more than 32 deep"):
+            load(tmp_path, text)
+        assert tracemalloc.get_traced_memory()[1] < 20e6
+    finally:
+        tracemalloc.stop()
+
+
+@pytest.mark.parametrize(
+    "text", [f"# {'[' * 99}", f"x = '{'[' * 99}'", 'x = "\\"[[[ ' + "{" * 99 + '"', "x = [1.5, 2.5]\n" * 99]
+)
+def test_brackets_in_strings_and_comments_do_not_count(text: str) -> None:
+    assert not too_deep(text)
+
+
+def test_a_text_without_an_end_is_scanned_once() -> None:
+    began_s = time.monotonic()
+    for text in ('"""\\' * 200_000, "'" * 10**6, "a" * 10**6, "a." * 30 + " " * 10**6, '"' * 10**6):
+        too_deep(text)
+    assert time.monotonic() - began_s < 30.0
+
+
+def test_a_number_of_thousands_of_digits_is_refused(tmp_path) -> None:
+    with pytest.raises(ConfigError, match=r"fleet\.toml: has a number of thousands of digits"):
+        load(tmp_path, f"x = {'1' * 5000}")
+
+
+def test_numbers_of_a_behaviour_on_the_command_line_are_checked(tmp_path) -> None:
+    fleet = load(tmp_path, TANK)
+    with pytest.raises(ConfigError, match=r"--behaviour: key 'behaviour\.yaw_deg': not a finite number"):
+        with_behaviour(fleet, "r1", '{ kind = "turn", yaw_deg = nan }')
+
+
+def test_only_a_small_regular_file_is_read(tmp_path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "large").write_bytes(b"#" * (2**20 + 1))
+    for path, why in (
+        (Path("/dev/zero"), "no regular file"),
+        (tmp_path / "pipe", "no regular file"),
+        (tmp_path, "no regular file"),
+        (tmp_path / "large", "larger than 1 MiB"),
+        (tmp_path / "none", "no such file"),
+        (tmp_path / "a\0b", "no name of a file"),
+    ):
+        with pytest.raises(ConfigError, match=why):
+            read_toml(path)
+
+
+@pytest.mark.parametrize("name", ["/etc/passwd", "../r1.toml", "a/../../r1.toml"])
+def test_a_file_that_leads_out_of_its_folder_is_refused(name: str) -> None:
+    with pytest.raises(ConfigError, match="outside of it"):
+        inside(Path("runs"), name)
+    assert inside(Path("runs"), "a/r1.toml") == Path("runs/a/r1.toml")
+
+
+def test_a_file_that_finds_no_room_stays_as_it_was_and_is_named(tmp_path) -> None:
+    path = tmp_path / "r1.toml"
+    write_whole(path, "before")
+    with room(1000), pytest.raises(OSError, match="File too large") as error:
+        write_whole(path, "x" * 2000)
+    assert error.value.filename == str(path)
+    assert path.read_text() == "before" and list(tmp_path.iterdir()) == [path]

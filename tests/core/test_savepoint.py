@@ -17,7 +17,7 @@ from agent.capabilities.survey.candidates import Ahead
 from agent.capabilities.swim.tag_fix import Map
 from agent.core.attitude import AttitudeLog
 from agent.core.config import Fleet, Navigation, Search
-from agent.core.messages import Explain, State
+from agent.core.messages import Explain, Order, State
 from agent.core.step_transaction import Revertible, Savepoint, StepTransaction
 from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, fleet_of
 from agent.experiments.reconstruction.drawn_scene import draw_scene
@@ -27,9 +27,10 @@ from tests.capabilities.light.dark_survey import DarkSurvey
 from tests.capabilities.light.lit_swarm import LitSwarm
 from tests.capabilities.swim.swimming_agent import InTank, fleet
 from tests.core.swarm_on_hand import Swarm
+from tests.robot.ordering import Ordering
 
 NUMBERS = (bool, int, float, str, bytes, NoneType, Enum, type, msgspec.UnsetType)
-WRITTEN_ONCE = (Fleet, Map, State, Explain, Ahead)  # whose dicts are made with them, and never written again
+WRITTEN_ONCE = (Fleet, Map, Order, State, Explain, Ahead)  # whose dicts are made with them, and never written again
 APART = (StepTransaction,)  # counts the steps that broke, so that it outlasts them
 LOOKS = 4  # at each robot, a second apart
 
@@ -72,7 +73,14 @@ def lights() -> Iterator[Agent]:
         yield swarm.robots["r1"].agent
 
 
+def ordered() -> Iterator[Agent]:
+    robot = Ordering()
+    robot.give("look", {"pan_deg": 10.0})
+    yield robot.agent
+
+
 KINDS = {
+    "ordered": ordered,
     "paper": moored("paper"),
     "metropolis": moored("metropolis"),
     "evidence": moored("evidence"),

@@ -1,6 +1,6 @@
 """`make fuzz`: hostile bytes into whatever takes bytes from outside, until Ctrl-C or for --seconds.
 
-    python -m tests.fuzz [kernel|decoders|wire|firmware|recordings|all] [--count N] [--seed S] [--seconds T]
+    python -m tests.fuzz [kernel|steps|decoders|wire|firmware|recordings|all] [--count N] [--seed S] [--seconds T]
 
 Parts take turns. What was broken is told once, made small, and kept in tests/fuzz/cases, which `make test` replays.
 """

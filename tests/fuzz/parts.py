@@ -11,8 +11,9 @@ from typing import Literal
 from agent.core.config import Protocol
 from tests.fuzz import decoding
 from tests.fuzz.kernel.search import PROTOCOLS, Fuzzer, scenes
+from tests.fuzz.kernel.whole_steps import STAGES, Watched
 
-Name = Literal["kernel", "decoders", "wire", "firmware", "recordings", "all"]
+Name = Literal["kernel", "steps", "decoders", "wire", "firmware", "recordings", "all"]
 Say = Callable[[str], object]
 ELSEWHERE = {
     "wire": "tests.fuzz.host_bytes",
@@ -61,6 +62,29 @@ class Kernel(Part):
         self.done, self.faults = self._fuzzer.messages, len(self._fuzzer.found)
 
 
+class Steps(Part):
+    """Messages into whole steps of five fleets, in turn, and the processor time that these take."""
+
+    of = "messages"
+
+    def __init__(self, seed: int, say: Say, keep: bool) -> None:
+        super().__init__("steps", seed, say)
+        self._fleets = [Watched(name, seed) for name in STAGES]
+        self._told: set[str] = set()
+
+    def work(self, count: int, end_s: float) -> None:
+        for one in self._fleets:
+            before = one.worst
+            for broken in one.run(max(count // len(self._fleets), 1), end_s):
+                self.faults += 1
+                if broken.name not in self._told or "slow" in broken.name:
+                    self._told.add(broken.name)
+                    self.say(f"{broken.name}: {broken.detail} [seed {self.seed}]")
+            if one.worst != before:
+                self.say(f"  {one.told()}")
+        self.done = sum(one.messages for one in self._fleets)
+
+
 class Decoders(Part):
     """Payloads into each decoder of some names."""
 
@@ -101,6 +125,8 @@ def chosen(name: Name, protocol: Protocol | None) -> list[Callable[[int, Say, bo
     found: list[Callable[[int, Say, bool], Part]] = []
     if name in ("kernel", "all"):
         found += [partial(Kernel, each) for each in ([protocol] if protocol else PROTOCOLS)]
+    if name in ("steps", "all"):
+        found.append(Steps)
     if name in ("decoders", "all"):
         found.append(partial(Decoders, ()))
     if name == "wire":

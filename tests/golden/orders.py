@@ -46,6 +46,7 @@ ORDERS = (
     Said(7.5, "resume"),
     *(Said(8.0 + 0.01 * k, "clock", number=100 + k) for k in range(70)),
     Said(9.0, "hold", number=50),
+    Said(9.0, "hold", number=51, seen_s=7.95),
     *(Said(9.5, "clock", console=f"bob{k}") for k in range(20)),
     Said(12.0, "look", {"pan_deg": -20.0}),
 )

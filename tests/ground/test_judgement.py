@@ -105,7 +105,12 @@ def test_who_hears_whom() -> None:
     assert not lines(age_s=1.9)
     for age_s in (2.1, None):
         (line,) = lines(age_s=age_s)
-        assert line.startswith("wrong    r1: r1 does not hear r2: they are linked, so their rules")
+        mute = "their link is mute, and r2 dials r1 again each second and is turned away; start r1 again"
+        assert line.startswith(f"wrong    r1: r1 does not hear r2: {mute}")
+    deaf = facts(states={"r1": state("r1", age_s=None), "r2": state("r2")})
+    other = Shown({**SAID["r2"], "rules": "others"}, frozenset({"0r1"}))
+    (_, line) = said(deaf._replace(shown={**deaf.shown, "0r2": other}))
+    assert line.startswith("wrong    r1: r1 does not hear r2: they are linked, so their rules")
     slow = replace(FLEET, link=replace(FLEET.link, send_hz=0.5))
     late = facts(states={"r1": state("r1", age_s=5.9), "r2": state("r2")})
     assert not list(neighbour_findings(slow, late, NAMES))

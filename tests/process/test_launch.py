@@ -43,10 +43,40 @@ def test_a_stop_is_an_event() -> None:
 
 def test_a_signal_that_was_forgotten_in_a_callback_is_remembered(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(launch, "_asked", [])
-    with pytest.raises(SystemExit, match="143"):
+    with pytest.raises(launch.Leaving, match="143") as leaving:
         launch.leave(signal.SIGTERM, None)
+    leaving.value.arrived = True
     with until_signal() as stop:
         assert stop.is_set()
+
+
+# A verb during whose work a signal comes where Python drops what its handler raises.
+DROPS = """
+import signal, sys, time, weakref
+import agent.__main__
+class Thing: ...
+def verb(**_):
+    if sys.argv[1] == "callback":
+        thing = Thing()
+        watch = weakref.ref(thing, lambda _: signal.raise_signal(signal.SIGTERM))
+        del thing
+    else:
+        try:
+            signal.raise_signal(signal.SIGTERM)
+        except BaseException:
+            pass
+    time.sleep(60.0)
+agent.__main__.command_line = lambda: verb
+agent.__main__.main()
+"""
+
+
+@pytest.mark.parametrize("how", ["callback", "caught"])
+def test_a_signal_that_python_drops_comes_again_and_ends_any_verb(how: str) -> None:
+    began_s = time.monotonic()
+    done = subprocess.run([sys.executable, "-c", DROPS, how], capture_output=True, cwd=ROOT, timeout=100.0)
+    assert done.returncode == 128 + signal.SIGTERM, done.stderr
+    assert time.monotonic() - began_s < 40.0
 
 
 def test_one_signal_asks_and_a_second_one_interrupts() -> None:

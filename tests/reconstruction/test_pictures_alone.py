@@ -1,6 +1,8 @@
 """Pictures with poses and nothing else, in nerfstudio's layout: read as written, and a surface from them."""
 
 import json
+import struct
+import zlib
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -72,3 +74,59 @@ def test_what_is_no_scene_is_refused(tmp_path: Path, broken: str) -> None:
     (tmp_path / "transforms.json").write_text(broken)
     with pytest.raises(ConfigError):
         transforms_views(tmp_path, quiet)
+
+
+def png_of(width: int, height: int) -> bytes:
+    """A PNG that claims a size, and has no pixels."""
+    head = b"IHDR" + struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + struct.pack(">I", 13) + head + struct.pack(">I", zlib.crc32(head))
+
+
+DAMAGE = {
+    "a text for a width": (("w", "x"), "key 'w': expected `float"),
+    "no width": (("w", 0), "key 'w'"),
+    "a number for a name": (("frames", "file_path", 7), r"key 'frames\[1\]\.file_path'"),
+    "a name elsewhere": (("frames", "file_path", "/dev/zero"), "outside of it"),
+    "a name above": (("frames", "file_path", "../../x.png"), "outside of it"),
+    "a folder": (("frames", "file_path", "images"), "no regular file"),
+    "a text for a matrix": (("frames", "transform_matrix", "x"), r"key 'frames\[1\]\.transform_matrix'"),
+    "a short matrix": (("frames", "transform_matrix", [[1.0] * 4] * 3), r"key 'frames\[1\]\.transform_matrix'"),
+    "a matrix of zeros": (
+        ("frames", "transform_matrix", [[0.0] * 4] * 4),
+        "frame 1: its transform_matrix turns",
+    ),
+    "a huge place": (("frames", "transform_matrix", [[1.0, 0.0, 0.0, 1e300]] * 4), "beyond"),
+    "no focal length": (("frames", "fl_x", 0), r"key 'frames\[1\]\.fl_x'"),
+    "no frames": (("frames", []), "key 'frames'"),
+}
+
+
+@pytest.mark.parametrize(("change", "why"), DAMAGE.values(), ids=DAMAGE)
+def test_damage_to_a_scene_is_one_line_that_names_the_field(folder: Path, change: tuple, why: str) -> None:
+    file = folder / "transforms.json"
+    data = json.loads(file.read_text())
+    *where, value = change
+    there = data if len(where) == 1 else data["frames"][1]
+    there[where[-1]] = value
+    file.write_text(json.dumps(data))
+    with pytest.raises(ConfigError, match=why) as error:
+        transforms_views(file, quiet)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(
+    "text", ['{"frames": ' + "[" * 5000, '{"a":' * 5000, '{"frames": [NaN]}', "[]", "7", '"x"', '{"w": 1' + "0" * 5000]
+)
+def test_no_scene_at_all_is_one_line(tmp_path: Path, text: str) -> None:
+    (tmp_path / "transforms.json").write_text(text)
+    with pytest.raises(ConfigError) as error:
+        transforms_views(tmp_path, quiet)
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("content", [png_of(60_000, 60_000), png_of(30_000, 30_000), png_of(64, 64), b"", b"\xff\xd8x"])
+def test_a_picture_that_is_none_takes_no_memory(folder: Path, content: bytes) -> None:
+    picture = next((folder / "images").iterdir())
+    picture.write_bytes(content)
+    with pytest.raises(ConfigError, match=f"{picture.name}: (says that it has|not an image)"):
+        transforms_views(folder, quiet)

@@ -52,11 +52,13 @@ class Ordering:
         console: str = "ann",
         number: int | None = None,
         seen: tuple[int, int] | str | None = NOW,
+        session: int = 0,
     ) -> Ordered:
         """As it arrives with the next step."""
         self.numbers += 1
         order = Order(
             id=self.numbers if number is None else number,
+            session=session,
             verb=verb,
             args=args or {},
             seen=(START_NS, self.now_ns) if seen == NOW else seen,

@@ -1,5 +1,6 @@
 """Orders are judged, carried out once, and answered, whatever else happens in their step."""
 
+import msgpack
 import pytest
 from msgspec import UNSET
 from msgspec.structs import replace
@@ -8,7 +9,7 @@ from agent.core.codec import encode
 from agent.core.config import Access, Fleet
 from agent.core.messages import MAX_ORDER
 from agent.core.step_io import Ordered
-from agent.core.step_transaction import SURFACE_AFTER
+from agent.core.step_transaction import SURFACE_AFTER, Savepoint
 from agent.core.verbs import LookAt, Stop
 from agent.robot import operator
 from agent.robot.operator import STALE_NS, Commands
@@ -116,14 +117,36 @@ def test_no_arm_that_was_on_its_way_undoes_a_stop(robot) -> None:
 
 
 def test_what_is_forgotten_is_not_done_again(robot) -> None:
+    seen = (START_NS, robot.now_ns)
     first = robot.order("hold", {"depth_m": 0.2}, number=1)
-    robot.step(first)
-    for number in range(2, operator.ORDERS + 2):
-        assert robot.give("look", {"pan_deg": 0.0}, number=number).ok
-    assert not (answer := robot.step(robot.order("hold", {"depth_m": 0.4}, number=1)).answers[0]).ok
+    later = [robot.order("look", {"pan_deg": 0.0}, number=number) for number in range(2, operator.ORDERS + 2)]
+    assert all(answer.ok for answer in robot.step(first, *later).answers)
+    assert not (answer := robot.step(first).answers[0]).ok
     assert "later ones" in answer.why
-    assert robot.give("stop", number=0).ok and robot.outputs.motors == "off"
-    assert robot.give("look", {"pan_deg": 0.0}, console="bob", number=1).ok  # another console counts for itself
+    assert robot.give("stop", number=0, seen=seen).ok and robot.outputs.motors == "off"
+    for other in ({"console": "bob"}, {"session": 7}):
+        assert robot.give("look", {"pan_deg": 0.0}, number=1, seen=seen, **other).ok  # which counts for itself
+
+
+@pytest.mark.parametrize("session", [0, 1], ids=["of no session", "of an earlier session"])
+def test_a_later_session_of_the_same_name_locks_nobody_out(robot, session: int) -> None:
+    """Nor does one whose clock is a day ahead."""
+    day_ns = 86_400 * 10**9
+    for number in range(2 * operator.ORDERS):
+        assert robot.give("look", {"pan_deg": 0.0}, number=START_NS + day_ns + number, session=2 * session).ok
+    assert robot.give("hold", {"depth_m": 0.2}, number=START_NS, session=session).ok
+
+
+def test_numbers_have_an_upper_limit(robot) -> None:
+    assert (
+        not robot.step(raw(robot, id=2**63)).answers[0].ok and not robot.step(raw(robot, session=2**63)).answers[0].ok
+    )
+    assert robot.step(raw(robot, id=2**63 - 1, session=2**63 - 1)).answers[0].ok
+
+
+def raw(robot: Ordering, **changes: int) -> Ordered:
+    ordered = robot.order("stop")
+    return replace(ordered, payload=msgpack.packb({**msgpack.unpackb(ordered.payload), **changes}))
 
 
 def test_one_id_for_two_orders_is_a_mistake_and_a_stop_goes_through(robot) -> None:
@@ -134,9 +157,26 @@ def test_one_id_for_two_orders_is_a_mistake_and_a_stop_goes_through(robot) -> No
 
 
 def test_consoles_that_name_themselves_at_will_fill_no_memory(robot) -> None:
-    for i in range(3 * operator.CONSOLES):
+    for i in range(3 * operator.ALL_SESSIONS):
         robot.give("look", {"pan_deg": 0.0}, console=f"c{i}")
-    assert len(robot.agent.operator._memory._by_console) == operator.CONSOLES
+    known = robot.agent.operator._memory._sessions
+    assert len(known) == operator.ALL_SESSIONS
+    for i in range(3 * operator.SESSIONS):
+        robot.give("look", {"pan_deg": 0.0}, console=f"c{i % 2}", session=i)
+    assert len(known) == operator.ALL_SESSIONS
+    assert [sum(console == name for console, _ in known) for name in ("c0", "c1")] == [operator.SESSIONS] * 2
+
+
+def test_a_step_that_breaks_is_undone_in_the_memory_of_orders(robot) -> None:
+    robot.give("look", {"pan_deg": 0.0})
+    memory = robot.agent.operator._memory
+    before = Savepoint(memory)
+    for _ in range(operator.ORDERS + 1):
+        robot.give("look", {"pan_deg": 1.0})
+    (known,) = memory._sessions.values()
+    assert len(known.answered) == operator.ORDERS and known.forgotten_ns > 0
+    before.restore()
+    assert len(known.answered) == 1 and known.forgotten_ns == -1
 
 
 def listening(*endpoints: str, consoles: tuple[str, ...] = ()) -> Fleet:

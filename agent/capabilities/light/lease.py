@@ -8,6 +8,9 @@ Whoever asks is told by each neighbour that it obeys, or that it obeys another (
 time the one counts that has waited longer, then the one whose name comes first; the other gives up and obeys it. Who
 obeys takes no lease of a third before this one is over: its holder says so, or its time has run out.
 
+No robot keeps the light. After a lease its holder waits behind whoever asked, whatever it says; each obeys nobody for
+more than MOST_NS of a minute; and who says that it is busy is believed while the lease that it names can be one.
+
 None of this makes sure that no lamp changes in a sweep: words get lost, lenders fall silent or are switched off. The
 lamp-constancy check below does that, by monotonic counters alone. So a fault here costs light and time, never truth.
 """
@@ -29,6 +32,10 @@ from agent.core.trust import MessageCache
 
 SILENT_NS = 3_000_000_000  # who was not heard for so long is not waited for
 GONE_NS = 10_000_000_000  # whose lamp is dark, or as it was: nobody who is there is silent for so long
+
+PAUSE_NS = 100_000_000  # after a lease, in which its holder has no other: whoever waited asks now
+MINUTE_NS, MOST_NS = 60_000_000_000, 50_000_000_000  # of the last minute one robot has the light for so long at most
+TENTH_NS = 100_000_000  # the unit of Lease.waited
 
 Phase = Literal["free", "asks", "holds", "obeys"]
 
@@ -55,7 +62,16 @@ class Bound(NamedTuple):
     holder: str
     incarnation: int
     lease: Lease  # as it came first: its aims and powers stay
+    began_ns: int
     ends_ns: int
+
+
+class Had(NamedTuple):
+    """A stretch of time in which a robot had the light, or nobody else because of it."""
+
+    holder: str
+    began_ns: int
+    ended_ns: int
 
 
 class Party(NamedTuple):
@@ -69,6 +85,7 @@ class Party(NamedTuple):
     mine: Mine | None = None
     bound: Bound | None = None
     words: tuple[tuple[str, Word], ...] = ()  # by neighbour, in the order of names
+    had: tuple[Had, ...] = ()  # in the last minute, in the order in which they ended
 
     @property
     def phase(self) -> Phase:
@@ -104,9 +121,36 @@ def ask(party: Party, lease: Lease, now_ns: int) -> Party:
     return party._replace(number=number, mine=Mine(numbered, now_ns, ends_ns))
 
 
-def release(party: Party) -> Party:
+def release(party: Party, now_ns: int) -> Party:
     """Give up the own lease, whether it was granted or not."""
-    return party._replace(mine=None)
+    mine, party = party.mine, party._replace(mine=None)
+    return party if mine is None or not mine.granted else _noted(party, Had(party.me, mine.asked_ns, now_ns))
+
+
+def may_have(party: Party, name: str, left_s: float, now_ns: int) -> bool:
+    """Whether it is a robot's turn for a lease of that length, by what it has had of the last minute."""
+    last_ns = next((each.ended_ns for each in reversed(party.had) if each.holder == name), None)
+    if last_ns is not None and now_ns - last_ns < PAUSE_NS:
+        return False
+    return _had_ns(party, (name,), now_ns) + round(min(left_s, MOST_HOLDS_S) * 1e9) <= MOST_NS
+
+
+def _had_ns(party: Party, names: tuple[str, ...], now_ns: int) -> int:
+    """How much of the last minute robots have had together."""
+    since_ns = now_ns - MINUTE_NS
+    return sum(max(each.ended_ns - max(each.began_ns, since_ns), 0) for each in party.had if each.holder in names)
+
+
+def _noted(party: Party, had: Had) -> Party:
+    recent = (each for each in party.had if had.ended_ns - each.ended_ns < MINUTE_NS)
+    return party._replace(had=(*recent, had))
+
+
+def _unbound(party: Party, now_ns: int) -> Party:
+    """The lease that it obeyed is over."""
+    bound = party.bound
+    assert bound is not None
+    return _noted(party._replace(bound=None), Had(bound.holder, bound.began_ns, now_ns))
 
 
 def hear(party: Party, said: Light, arrived_ns: int) -> Party:
@@ -119,13 +163,13 @@ def hear(party: Party, said: Light, arrived_ns: int) -> Party:
             # What is left of it is counted from when that was said: the quickest word knows best.
             ends_ns = min(bound.ends_ns, arrived_ns + round(lease.left_s * 1e9))
             return party._replace(bound=bound._replace(ends_ns=ends_ns))
-        party = party._replace(bound=None)
+        party = _unbound(party, arrived_ns)
     return party if lease is UNSET else _offered(party, said, lease, arrived_ns)
 
 
 def _offered(party: Party, said: Light, lease: Lease, arrived_ns: int) -> Party:
     """A neighbour's lease, which this robot obeys unless its own or a third's counts more."""
-    if party.bound is not None or not lease.left_s:
+    if party.bound is not None or not _counts(party, said.src, lease, arrived_ns):
         return party
     if (mine := party.mine) is not None:
         if mine.granted:
@@ -133,7 +177,19 @@ def _offered(party: Party, said: Light, lease: Lease, arrived_ns: int) -> Party:
         if not lease.granted and _before(mine.lease, party.me, lease, said.src):
             return party
     ends_ns = arrived_ns + round(min(lease.left_s, MOST_HOLDS_S) * 1e9)
-    return party._replace(mine=None, bound=Bound(said.src, said.incarnation, lease, ends_ns))
+    bound = Bound(said.src, said.incarnation, lease, arrived_ns, ends_ns)
+    return party._replace(mine=None, bound=bound)
+
+
+def _counts(party: Party, holder: str, lease: Lease, now_ns: int) -> bool:
+    """Whether a neighbour can have this lease: it has had its share neither of the last minute, nor since this robot
+    began to wait for what it asks for."""
+    if not lease.left_s or not may_have(party, holder, lease.left_s, now_ns):
+        return False
+    if (mine := party.mine) is None:
+        return True
+    waits_ns = mine.asked_ns - mine.lease.waited * TENTH_NS
+    return not any(each.holder == holder and each.ended_ns > waits_ns for each in party.had)
 
 
 def _before(lease: Lease, holder: str, other: Lease, others: str) -> bool:
@@ -145,25 +201,42 @@ def tick(party: Party, guard_ns: int, now_ns: int) -> Party:
     """What time does: leases end, and a robot that asked has been answered or has waited for long enough.
 
     All who were heard of late obey, or the guard is over and nobody busy: the own lease is in force. Somebody busy
-    when the guard is over: it is given up.
+    when the guard is over, with a lease that can be one: it is given up.
     """
     if party.bound is not None and now_ns >= party.bound.ends_ns:
-        party = party._replace(bound=None)
+        party = _unbound(party, now_ns)
     mine = party.mine
     if mine is None:
         return party
     if now_ns >= mine.ends_ns:
-        return release(party)
+        return release(party, now_ns)
     if mine.granted:
         return party
-    answers = [party.answer(name) for name in listeners(party, now_ns)]
-    if all(ack is not None and ack.obeys for ack in answers):
+    answers = {name: party.answer(name) for name in listeners(party, now_ns)}
+    if all(ack is not None and ack.obeys for ack in answers.values()):
         return party._replace(mine=mine._replace(granted=True))
     if now_ns < mine.asked_ns + guard_ns:
         return party
-    if any(ack is not None and not ack.obeys for ack in answers):
-        return release(party)
+    for name, ack in answers.items():
+        if ack is not None and not ack.obeys and (whose := _busy_with(party, name, ack, now_ns)) is not None:
+            party = release(party, now_ns)
+            # From one wish to the next there is less than the guard: of somebody always busy all of a minute counts.
+            return _noted(party, Had(whose, mine.asked_ns - guard_ns, now_ns)) if party.word(whose) is None else party
     return party._replace(mine=mine._replace(granted=True))
+
+
+def _busy_with(party: Party, name: str, ack: LeaseAck, now_ns: int) -> str | None:
+    """Whose lease a neighbour obeys, or has; None: that cannot be. Of a robot out of reach its word counts,
+    for as much of a minute as its own leases leave."""
+    whose = ack.whose or name
+    if whose not in (*party.neighbours, party.me, name):
+        via = f"via {name}"
+        return via if _had_ns(party, (name, via), now_ns) < MOST_NS else None
+    word = party.word(whose)
+    lease = UNSET if word is None else word.said.lease
+    if word is None or lease is UNSET or now_ns >= word.arrived_ns + round(lease.left_s * 1e9):
+        return None
+    return whose if _counts(party, whose, lease, now_ns) else None
 
 
 def listeners(party: Party, now_ns: int) -> tuple[str, ...]:
@@ -308,13 +381,17 @@ class Talk(Revertible):
         """Whether it knows of all neighbours by now who is there."""
         return acquainted(self.party, now_ns)
 
+    def may_have(self, lease: Lease, now_ns: int) -> bool:
+        """Whether neighbours can be asked for it: it has left them their share of the last minute."""
+        return not self.party.neighbours or may_have(self.party, self.party.me, lease.left_s, now_ns)
+
     def ask(self, lease: Lease, now_ns: int) -> None:
         """Ask for light; only who is free can."""
         self.party = ask(self.party, lease, now_ns)
 
-    def release(self) -> None:
+    def release(self, now_ns: int) -> None:
         """The own lease is over, and a sweep by it; neighbours are told at once."""
-        self.party, self._before, self._after = release(self.party), None, None
+        self.party, self._before, self._after = release(self.party, now_ns), None, None
         self._due_ns = 0
 
     def rests(self, own: LampNow, now_ns: int) -> bool:

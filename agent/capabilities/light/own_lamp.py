@@ -213,6 +213,7 @@ def lamp_state(party: Party, own: LampNow, spoiled: int) -> LampState:
 LOOK_NS = 3_500_000_000  # from the grant to the sweep: lamps and gimbal come to rest, the target comes into the middle
 MARGIN_NS = 2_000_000_000  # of a lease, beyond that and the sweep: until all have said that nothing changed
 AGAIN_NS, LONGEST_AGAIN_NS = 400_000_000, 6_400_000_000  # after light that gave nothing, the next time twice as long
+SHARE_NS = 1_000_000_000  # where it had more than its share of the last minute
 RETRY_NS = 200_000_000  # after a lease that was not given, and after one that was
 
 
@@ -268,7 +269,10 @@ class Turn(Revertible):
         return self.own.by_own_lease and self.talk.rests(self.own.now, now_ns)
 
     def ask(self, lease: Lease, now_ns: int) -> None:
-        self.talk.ask(lease, now_ns)
+        if self.talk.may_have(lease, now_ns):
+            self.talk.ask(lease, now_ns)
+        else:
+            self._retry_ns = now_ns + SHARE_NS
 
     def waited_ns(self, now_ns: int) -> int:
         return now_ns - self._served_ns
@@ -299,7 +303,7 @@ class Turn(Revertible):
         if self.talk.party.mine is not None:
             self._served_ns = now_ns
             self._retry_ns = max(self._retry_ns, now_ns + RETRY_NS)  # others were waiting, and shall be heard first
-        self.talk.release()
+        self.talk.release(now_ns)
         self.exposure = exposed(self.exposure, "over")
 
     def fail(self, now_ns: int) -> None:

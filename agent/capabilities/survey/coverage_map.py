@@ -2,7 +2,11 @@
 
 Sums of integers do not depend on the order in which keyframes came, nor on how often: which are held is known by their
 keys. Of two different ones under one key (their origin lies) that with the smaller bytes counts, and of each origin
-its newest STARTS incarnations: both are the same whatever came first.
+its newest STARTS incarnations: both are the same whatever came first. What another robot says of an origin, unsigned,
+takes a free place and never that of something held; the word of the origin itself goes before it.
+
+A keyframe takes milliseconds to add, and as long to take out. What neighbours say is added, and starts that give way
+are let go, by SUMS keyframes a step.
 
 The tank is cut into cells first; then come the directions of a picture's blocks, and where the water is known to be
 empty.
@@ -12,7 +16,9 @@ from __future__ import annotations
 
 import hashlib
 import math
+from collections import deque
 from collections.abc import Iterable, Iterator, Mapping
+from functools import lru_cache
 from typing import NamedTuple
 
 import msgspec
@@ -112,6 +118,7 @@ UNBEND = 8  # passes that take the bend out of a slope, as in core/ranging/camer
 Slopes = tuple[tuple[float, float], ...]
 
 
+@lru_cache(maxsize=4)  # of one keyframe they are asked for twice
 def block_slopes(lens: Lens, count: int) -> Slopes:
     """(x, y) / (z - ahead) of the middle of each block, row by row."""
     return tuple(slope(lens, k % lens.cols + 0.5, k // lens.cols + 0.5) for k in range(count))
@@ -246,9 +253,11 @@ def is_free(number: int, hits: Mapping[int, int], passes: Mapping[int, int]) -> 
 
 # --- sums over keyframes ---
 
-STARTS = 4
+STARTS = 4  # of each origin
+SUMS = 4  # keyframes that neighbours can have added and taken out in one step
 ALONE_COS = 0.7  # of a block without neighbours that tell how its surface lies
-Key = tuple[str, int, int]  # origin, incarnation, number
+Start = tuple[str, int]  # origin, incarnation
+Key = tuple[str, int, int]  # and number
 Dose = tuple[tuple[int, int], ...]  # cells and what is added to them
 
 
@@ -261,7 +270,8 @@ class Landed(NamedTuple):
 
 class Held(NamedTuple):
     frame: Frame
-    bytes: bytes  # which of two different ones is first
+    vouched: bool  # its origin said it, or signed it
+    signature: bytes
 
 
 class CoverageMap(Revertible):
@@ -269,33 +279,57 @@ class CoverageMap(Revertible):
 
     def __init__(self, grid: Grid) -> None:
         self.grid = grid
-        self.held: dict[Key, Held] = {}
+        self.held: dict[Start, dict[int, Held]] = {}  # by number
+        self.leaving: deque[dict[int, Held]] = deque()  # of starts that gave way: in the sums still, and held no more
         self.cells: dict[int, int] = {}  # information, ONE per mm^2
         self.hits: dict[int, int] = {}  # blocks that end in each cell
         self.passes: dict[int, int] = {}  # and that look through it
-        self.starts: dict[str, tuple[int, ...]] = {}  # incarnations of each origin, newest first
         self.version = 0  # counts changes
+        self.sums = 0  # keyframes added and taken out since `let_go`
+        self._vouched: set[Start] = set()  # starts of which the origin itself said something
         self._share: tuple[int, float] | None = None  # of which version, and what it is
         self._digest: tuple[int, str] | None = None
         self._solid: tuple[int, frozenset[int]] | None = None
 
-    def add(self, frame: Frame) -> bool:
-        """Take a keyframe in whose content was found to be possible; returns whether it changes anything."""
-        if not self._counts(frame.origin, frame.incarnation):
+    def add(self, frame: Frame, vouched: bool = True, signature: bytes = b"") -> bool:
+        """Take a keyframe in whose content was found to be possible; returns whether it changes the map. vouched: its
+        origin says it, or has signed it."""
+        start, held = (frame.origin, frame.incarnation), Held(frame, vouched, signature)
+        if start not in self.held and not self._makes_room(start, vouched):
             return False
-        key, held = (frame.origin, frame.incarnation, frame.number), Held(frame, as_bytes(frame))
-        before = self.held.get(key)
-        if before is not None and before.bytes <= held.bytes:
+        frames = self.held.setdefault(start, {})
+        if vouched:
+            self._vouched.add(start)
+        before = frames.get(frame.number)
+        if before is not None and before.frame == frame:
+            frames[frame.number] = held if vouched else before
+            return False
+        if before is not None and not _goes_before(held, before):
             return False
         if before is not None:
             self._sum(before.frame, -1)
-        self.held[key] = held
+        frames[frame.number] = held
         self._sum(frame, 1)
-        self.version += 1
         return True
 
-    def has(self, key: Key) -> bool:
-        return key in self.held
+    def has(self, frame: Frame) -> bool:
+        """Whether a keyframe of this origin, start and number is held."""
+        return frame.number in self.held.get((frame.origin, frame.incarnation), ())
+
+    def let_go(self, most: int | None = None) -> None:
+        """Take keyframes of starts that gave way out of the sums, so many at most; None: all of them."""
+        left = sum(map(len, self.leaving)) if most is None else most
+        while self.leaving and left > 0:
+            frames, left = self.leaving[0], left - 1
+            _, held = frames.popitem()
+            self._sum(held.frame, -1)
+            if not frames:
+                self.leaving.popleft()
+        self.sums = 0
+
+    def all_keys(self) -> list[Key]:
+        """Of all keyframes that are held, in order."""
+        return [(*start, number) for start in sorted(self.held) for number in sorted(self.held[start])]
 
     def share(self) -> float:
         """Of the wanted cells, and of things within the tank that were found, how many are known well enough."""
@@ -326,23 +360,33 @@ class CoverageMap(Revertible):
     def digest(self) -> str:
         """Sixteen hexadecimal digits of the map and of the keys of its keyframes."""
         if self._digest is None or self._digest[0] != self.version:
-            keys = repr(sorted(self.held)).encode()
-            self._digest = self.version, hashlib.sha256(self.as_bytes() + keys).hexdigest()[:16]
+            keys = ", ".join(
+                f"{start}{number})"
+                for (origin, incarnation), frames in sorted(self.held.items())
+                for start in (f"('{origin}', {incarnation}, ",)
+                for number in sorted(frames)
+            )
+            self._digest = self.version, hashlib.sha256(self.as_bytes() + f"[{keys}]".encode()).hexdigest()[:16]
         return self._digest[1]
 
-    def _counts(self, origin: str, incarnation: int) -> bool:
-        """Whether this start of a robot is among its newest; what an older one gives way for is forgotten."""
-        known = self.starts.get(origin, ())
-        if incarnation in known:
+    def _makes_room(self, start: Start, vouched: bool) -> bool:
+        """Whether a start is held from now on, where need be in the place of the one that counts least."""
+        known = [each for each in self.held if each[0] == start[0]]
+        if len(known) < STARTS:
             return True
-        newest = tuple(sorted((*known, incarnation), reverse=True))
-        self.starts[origin], gone = newest[:STARTS], newest[STARTS:]
-        for key in [key for key in self.held if key[0] == origin and key[1] in gone]:
-            self._sum(self.held.pop(key).frame, -1)
-            self.version += 1
-        return incarnation not in gone
+        least = min(known, key=self._rank)
+        if not vouched or self._rank(least) > (True, start[1]):
+            return False
+        self.leaving.append(self.held.pop(least))
+        self._vouched.discard(least)
+        self.version += 1
+        return True
+
+    def _rank(self, start: Start) -> tuple[bool, int]:
+        return start in self._vouched, start[1]
 
     def _sum(self, frame: Frame, sign: int) -> None:
+        self.version, self.sums = self.version + 1, self.sums + 1
         blocks = landed(frame, self.grid)
         _add(self.cells, blocks, sign)
         _add(self.hits, ((block.number, 1) for block in blocks), sign)
@@ -358,8 +402,11 @@ def _add(sums: dict[int, int], more: Iterable[tuple[int, int]], sign: int) -> No
             sums.pop(number, None)
 
 
-def as_bytes(frame: Frame) -> bytes:
-    return msgspec.msgpack.encode(frame)
+def _goes_before(one: Held, other: Held) -> bool:
+    """Whether the first of two different keyframes under one key counts, where the other is held."""
+    if not one.vouched or not other.vouched:
+        return one.vouched
+    return msgspec.msgpack.encode(one.frame) < msgspec.msgpack.encode(other.frame)
 
 
 def dose(frame: Frame, grid: Grid) -> Dose:

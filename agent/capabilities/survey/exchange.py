@@ -2,32 +2,34 @@
 
 Each says twice a second what it holds. A keyframe goes to a neighbour once when it is made, and again when a word of
 the neighbour that is later than that shows that it is still lacking. So maps become equal whatever is lost, and a
-fleet that has all says nothing but which robot has what.
+fleet that has all says nothing but which robot has what. Of each start a neighbour gets no more than it can say of
+which it has: what follows the first that it lacks, by SHORT_MASK numbers.
 
-The robot that measured speaks for itself: of an origin that is a neighbour and was heard of late its own word alone is
-taken. Of one that is silent, or beyond the neighbours, any robot's is, for keyframes are not signed: a robot that lies
-can invent what such a one saw, and the price is that no robot looks there.
+In a fleet with keys a keyframe counts by the signature of its origin, whoever passes it on. Without keys the robot that
+measured speaks for itself: of an origin that is a neighbour and was heard of late its own word alone is taken. Of one
+that is silent, or beyond the neighbours, any robot's is. So a robot that lies can invent what such a one saw, and the
+price is that no robot looks there; what is held already it cannot push out (coverage_map.py).
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
+
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.capabilities.survey.coverage_map import CoverageMap, Key
+from agent.capabilities.survey.coverage_map import STARTS, SUMS, CoverageMap, Held, Key, Start
 from agent.core.capability_messages import SHORT_MASK, Claim, Frame, Has, Keyframe, View, claim_fault, frame_fault
 from agent.core.codec import Refusal
 from agent.core.config import Fleet
 from agent.core.link_clocks import CLOCKS_NS
 from agent.core.step_transaction import Revertible
-from agent.core.trust import MessageCache
+from agent.core.trust import HEARSAY, OVERDRAWN, Authority, MessageCache, keyframe_bytes
 
-SILENT_NS = 3_000_000_000  # by then an origin no longer speaks for itself
 CLAIM_NS = 500_000_000  # twice a second each says what it holds
 SEND_NS = 100_000_000  # from one keyframe to the next
 ANSWER_NS = 300_000_000  # a word that shows what is lacking is so much later than what was sent
 LONGEST_NS = 60_000_000_000  # a claim on a view ends by itself
-FOLDS = 4  # keyframes taken in in one step; those beyond are sent again
 MOST_HAS = 128
 
 
@@ -42,18 +44,31 @@ class Exchange(Revertible):
         self.cache = MessageCache[Claim](fleet.fleet, name, neighbours)
         self._keyframes = MessageCache[Keyframe](fleet.fleet, name, neighbours)
         self.known = known
-        self._sent: dict[tuple[str, Key], int] = {}  # when it was last sent
+        self._authority = Authority(neighbours)
+        if fleet.access.keys is not None:
+            self.trust({})  # until they are read nothing counts
+        self._took: tuple[str, ...] = ()  # neighbours of which a keyframe was taken in in this step
+        self._before: tuple[str, ...] = ()  # and in the one before
+        # Of each neighbour what it lacks, and when that was last sent.
+        self._sent: dict[str, dict[Key, int]] = {neighbour: {} for neighbour in self.cache.senders}
         self._seqs = {neighbour: 0 for neighbour in self.cache.senders}
-        self._said = self._due_ns = self._send_due_ns = self._folds = 0
+        self._said = self._due_ns = self._send_due_ns = 0
+
+    def trust(self, keys: Mapping[str, bytes]) -> None:
+        """Public keys of the robots, when they were read or changed."""
+        self._authority.replace_keys(keys)
 
     def end_step(self) -> None:
-        self._folds = 0
+        """What there is left of SUMS goes to what has to leave the map."""
+        self.known.let_go(SUMS - self.known.sums)
+        self._before, self._took = self._took, ()
 
     def hear_claim(self, src: str, claim: Claim, arrived_ns: int) -> None:
         """A decoded message that came on the key of `src`. Raises Refusal where it cannot be so."""
         if (fault := claim_fault(claim, self._tank_m)) is not None:
             raise Refusal("content", fault)
         self.cache.put(src, claim, arrived_ns)
+        self._authority.heard(src, arrived_ns)
 
     def hear_keyframe(self, src: str, said: Keyframe, arrived_ns: int) -> None:
         """Likewise. One that is held already, or that its origin has to say itself, changes nothing."""
@@ -65,14 +80,15 @@ class Exchange(Revertible):
         if frame.incarnation > arrived_ns + CLOCKS_NS:
             raise Refusal("clock", "its clock is more than three hours ahead of ours; set the clocks")
         self._keyframes.put(src, said, arrived_ns)
-        if frame.origin == self._name and frame.incarnation >= self._incarnation:
+        self._authority.heard(src, arrived_ns)
+        if (frame.origin == self._name and frame.incarnation >= self._incarnation) or not self._has_room(src, frame):
             return
-        mine = frame.origin == self._name  # of a start before this one: any robot that has it may bring it back
-        if frame.origin != src and not mine and self._speaks(frame.origin, arrived_ns):
-            return
-        if self._folds < FOLDS:
-            self._folds += 1
-            self.known.add(frame)
+        signature = said.signature or b""
+        by = self._authority.fault(src, frame.origin, signature, lambda: keyframe_bytes(self._fleet, frame), arrived_ns)
+        if by not in (None, HEARSAY, OVERDRAWN):
+            raise Refusal("signature", f"keyframe of {frame.origin}: {by}")
+        if by is None and self.known.add(frame, self._signed or src == frame.origin, signature):
+            self._took = *self._took, src
 
     def claims(self, now_ns: int) -> tuple[tuple[str, View], ...]:
         """Views that others are about to take, in the order of their names."""
@@ -97,9 +113,9 @@ class Exchange(Revertible):
             key = self._lacks(neighbour, now_ns)
             if key is None:
                 continue
-            self._sent[neighbour, key] = now_ns
+            self._sent[neighbour][key] = now_ns
             self._seqs[neighbour] += 1
-            found.append(self._word(neighbour, self.known.held[key].frame, now_ns))
+            found.append(self._word(neighbour, self.known.held[key[:2]][key[2]], now_ns))
         return tuple(found)
 
     def say(self, view: View | None, until_ns: int, now_ns: int) -> tuple[Claim, ...]:
@@ -123,35 +139,54 @@ class Exchange(Revertible):
         )
         return tuple(replace(said, dst=neighbour) for neighbour in self.cache.senders)
 
-    def _speaks(self, origin: str, now_ns: int) -> bool:
-        """Whether an origin is a neighbour of which a word was heard of late."""
-        if origin not in self.cache.senders:
-            return False
-        age_ns = self.cache.age_ns(origin, now_ns)
-        return age_ns is not None and age_ns <= SILENT_NS
+    @property
+    def _signed(self) -> bool:
+        return self._authority.keys is not None
+
+    def _has_room(self, src: str, frame: Frame) -> bool:
+        """Whether a keyframe of this neighbour can be added in this step: one of each, and while others leave the map
+        one of all in turn."""
+        if self.known.leaving:
+            return not self.known.sums and src not in self._before
+        takes = 2 if self.known.has(frame) else 1  # that one goes out, this one comes in
+        return src not in self._took and self.known.sums + takes <= SUMS
 
     def _lacks(self, neighbour: str, now_ns: int) -> Key | None:
+        """The first keyframe that it is to be sent now."""
         newest = self.cache.senders[neighbour].newest
         heard_ns = -1 if newest is None else newest.arrived_ns - newest.late_ns
         has = {} if newest is None else {(h.origin, h.incarnation): h for h in newest.message.has}
-        for key in self.known.held:
-            if not self._passes_on(key, neighbour, now_ns) or _is_in(has.get(key[:2]), key[2]):
+        sent, self._sent[neighbour] = self._sent[neighbour], {}
+        found: Key | None = None
+        for start, frames in self.known.held.items():
+            if not self._passes_on(start, neighbour, has, now_ns):
                 continue
-            sent_ns = self._sent.get((neighbour, key))
-            if sent_ns is None or heard_ns > sent_ns + ANSWER_NS:
-                return key
-        return None
+            for number in _missing(has.get(start)):
+                if number not in frames:
+                    continue
+                key = *start, number
+                sent_ns = sent.get(key)
+                if sent_ns is not None:
+                    self._sent[neighbour][key] = sent_ns
+                if found is None and (sent_ns is None or heard_ns > sent_ns + ANSWER_NS):
+                    found = key
+        return found
 
-    def _passes_on(self, key: Key, neighbour: str, now_ns: int) -> bool:
-        """Whether that neighbour would take this keyframe from this robot."""
-        origin, newest = key[0], self.cache.senders[neighbour].newest
+    def _passes_on(self, start: Start, neighbour: str, has: Mapping[Start, Has], now_ns: int) -> bool:
+        """Whether that neighbour would take keyframes of this start from this robot."""
+        origin, incarnation = start
         if origin == self._name:
             return True
         if origin == neighbour:
-            return newest is not None and key[1] < newest.message.incarnation
-        return origin not in self._neighbours_of[neighbour] or not self._speaks(origin, now_ns)
+            newest = self.cache.senders[neighbour].newest
+            if newest is None or incarnation >= newest.message.incarnation:
+                return False
+        elif origin in self._neighbours_of[neighbour] and self._authority.speaks_for_itself(origin, now_ns):
+            return False
+        theirs = [began for name, began in has if name == origin]
+        return start in has or len(theirs) < STARTS or (self._signed and incarnation > min(theirs))
 
-    def _word(self, neighbour: str, frame: Frame, now_ns: int) -> Keyframe:
+    def _word(self, neighbour: str, held: Held, now_ns: int) -> Keyframe:
         return Keyframe(
             fleet=self._fleet,
             src=self._name,
@@ -159,17 +194,15 @@ class Exchange(Revertible):
             incarnation=self._incarnation,
             seq=self._seqs[neighbour],
             sent_ns=now_ns,
-            frame=frame,
+            frame=held.frame,
+            signature=held.signature or UNSET,
         )
 
 
 def holdings(known: CoverageMap) -> tuple[Has, ...]:
     """What a map holds, by origin and start."""
-    numbers: dict[tuple[str, int], set[int]] = {}
-    for origin, incarnation, number in known.held:
-        numbers.setdefault((origin, incarnation), set()).add(number)
     found = []
-    for (origin, incarnation), held in sorted(numbers.items()):
+    for (origin, incarnation), held in sorted(known.held.items()):
         upto = 0
         while upto + 1 in held:
             upto += 1
@@ -178,8 +211,8 @@ def holdings(known: CoverageMap) -> tuple[Has, ...]:
     return tuple(found[-MOST_HAS:])
 
 
-def _is_in(has: Has | None, number: int) -> bool:
-    if has is None:
-        return False
-    beyond = number - has.upto - 2
-    return number <= has.upto or (0 <= beyond < SHORT_MASK and has.beyond >> beyond & 1 == 1)
+def _missing(has: Has | None) -> Iterator[int]:
+    """Numbers of one start that a robot lacks, as far as it can say which it has."""
+    upto, beyond = (0, 0) if has is None else (has.upto, has.beyond)
+    yield upto + 1
+    yield from (upto + 2 + k for k in range(SHORT_MASK) if not beyond >> k & 1)

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any, ClassVar, Literal, NamedTuple
 
+from msgspec import UNSET
 from msgspec.structs import replace
 
 from agent.capabilities.light.allocate import FrameScene
@@ -24,6 +25,7 @@ from agent.capabilities.survey.candidates import (
     better,
     drawn,
     frame_scene,
+    with_claims,
 )
 from agent.capabilities.survey.coverage_map import (
     SIGMA_AT_M,
@@ -176,6 +178,7 @@ def next_phase(phase: Phase, event: Event) -> Phase:
 
 
 EACH_STEP = 3  # candidates: 3 ms
+CLAIMS_EACH_STEP = 2  # likewise of others' views, which are any
 GO_NS = 25_000_000_000  # at most, then it looks for another view
 LOOK_NS = 12_000_000_000  # likewise until body and gimbal are at rest
 NEAR_M, NEAR_RAD = 0.12, math.radians(12.0)  # of where it wants to be: what it sees from there is nearly the same
@@ -199,7 +202,8 @@ class Surveyor(Revertible):
         self.phase: Phase = "choose" if self.looks else "done"
         self._number = 0  # of the newest keyframe
         self._k = 0  # the next candidate
-        self._ahead: Ahead | None = None  # what this choice goes by
+        self._ahead: Ahead | None = None  # what this choice goes by; None: it has not begun
+        self._claims: tuple[View, ...] = ()  # that are still to be added to that
         self._apart: tuple[Planar, ...] = ()
         self._best: Best | None = None
         self.chosen: Candidate | None = None
@@ -232,24 +236,29 @@ class Surveyor(Revertible):
         return now_ns + (GO_NS if self.phase == "go" else LOOK_NS)
 
     def choose(self, pose: Pose, claims: tuple[View, ...], others_m: tuple[Planar, ...], now_ns: int) -> None:
-        """A few candidates more; the last of them ends the choice. pose: of the body now; others_m: where robots are
-        that claim nothing."""
+        """A few claims or candidates more; the last candidate ends the choice. pose: of the body now; others_m: where
+        robots are that claim nothing."""
         if self.phase != "choose" or now_ns < self._since_ns:
             return
-        if self._k == 0:
-            known = self.known
-            self._ahead = ahead(self._where(pose), known.grid, known.cells, known.solid(), claims)
+        where, known, by = self._where(pose), self.known, self._ahead
+        if by is None:
+            by = ahead(where, known.grid, known.cells, known.solid(), claims[:CLAIMS_EACH_STEP])
+            self._claims = claims[CLAIMS_EACH_STEP:]
             claimed = ((view.place[0] * UNIT_M, view.place[1] * UNIT_M) for view in claims)
             self._apart, self._best = (*claimed, *others_m), None
-        where, by = self._where(pose), self._ahead
-        assert by is not None
+        elif self._claims:
+            more, self._claims = self._claims[:CLAIMS_EACH_STEP], self._claims[CLAIMS_EACH_STEP:]
+            by = by._replace(cells=with_claims(by.cells, by.stops, more, by.grid))
+        self._ahead = by
+        if self._claims:
+            return
         for _ in range(EACH_STEP):
             candidate = drawn(where, self._name, self._draw, self._k)
             self._best = better(self._best, candidate, by, self._allowed)
             self._k += 1
         if self._k < CANDIDATES:
             return
-        self._k, self._draw = 0, self._draw + 1
+        self._k, self._draw, self._ahead = 0, self._draw + 1, None
         if self._best is None or self.over or self._number >= MOST_NUMBER:
             self._begin("known" if self.over else "over", now_ns + (0 if self.over else REST_NS))
             return
@@ -427,6 +436,8 @@ class Survey(Capability):
     def update(self, inputs: Inputs, situation: Situation) -> Situation:
         """What sweeps showed that ended since the last step."""
         surveyor, now_ns = self.surveyor, situation.now_ns
+        if inputs.keys is not UNSET:
+            self.exchange.trust(inputs.keys)
         for peaks in inputs.blocks or ():
             if surveyor.awaits(peaks):
                 self._swept = Swept(peaks, self._eye(peaks.t_ns, situation), self._hulls(situation))

@@ -13,8 +13,22 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import msgspec
+import yaml
 
-from agent.core.config import ConfigError, Face, Landmarks, Positive, Struct, Tag, Tank, convert, read_toml
+from agent.core.codec import MOST_DEEP, too_deep
+from agent.core.config import (
+    ConfigError,
+    Face,
+    Landmarks,
+    Positive,
+    Struct,
+    Tag,
+    Tank,
+    check_numbers,
+    convert,
+    read_text,
+    read_toml,
+)
 from agent.core.linear_algebra import cross, difference
 from agent.core.messages import Vector
 
@@ -141,6 +155,7 @@ def _dot(a: Vector, b: Vector) -> float:
 # the frame has to be the tank's: origin at the lower left corner of the floor, z up, metres.
 
 MOST_IDS = 587  # of the family 36h11
+TOO_DEEP = "nested too deeply, or with aliases"
 DIGITS = 9  # of what was computed from a quaternion: a nanometre
 
 
@@ -258,7 +273,7 @@ def _on_faces(placed: list[Placed], size_m: float | None, beside: Beside, path: 
 
 
 def _bundle(path: Path) -> tuple[list[Placed], float]:
-    bundles = _read(path, RosFile, msgspec.yaml.decode).tag_bundles or []
+    bundles = _read(path, RosFile, _yaml).tag_bundles or []
     if len(bundles) != 1 or not bundles[0].layout:
         what = f"{len(bundles)} bundles, each in a frame of its own" if len(bundles) > 1 else "no bundle with a layout"
         raise ConfigError(f"{path}: has {what}; give one in `tag_bundles`, in the tank's frame: only that has places")
@@ -277,7 +292,7 @@ def _bundle(path: Path) -> tuple[list[Placed], float]:
 
 def _field(path: Path) -> list[Placed]:
     placed = []
-    for tag in _read(path, FieldLayout, msgspec.json.decode).tags:
+    for tag in _read(path, FieldLayout, _json).tags:
         at, q = tag.pose.translation, tag.pose.rotation.quaternion
         if at.keys() != {"x", "y", "z"}:
             raise ConfigError(f"{path}: tag {tag.ID} lacks one of x, y, z; add it")
@@ -287,13 +302,30 @@ def _field(path: Path) -> list[Placed]:
 
 
 def _read(path: Path, kind: Any, decode: Any) -> Any:
+    text = read_text(path, "correct `file` in [landmarks]")
     try:
-        return decode(path.read_bytes(), type=kind)
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); correct `file` in [landmarks]") from None
-    except (msgspec.DecodeError, UnicodeDecodeError, RecursionError) as error:
-        why = str(error).splitlines()[0] if str(error) else "nested too deeply"
+        found = decode(text, kind)
+    except (msgspec.DecodeError, yaml.YAMLError, ValueError) as error:
+        why = str(error).splitlines()[0]
         raise ConfigError(f"{path}: no layout of tags: {why}; give the file as the other program wrote it") from None
+    check_numbers(found, path)
+    return found
+
+
+def _json(text: str, kind: Any) -> Any:
+    if too_deep(text):
+        raise ValueError(TOO_DEEP)
+    return msgspec.json.decode(text, type=kind)
+
+
+def _yaml(text: str, kind: Any) -> Any:
+    """In YAML indents and dashes nest as well, and an alias is as large as what it stands for."""
+    depth = 0
+    for event in yaml.parse(text, getattr(yaml, "CSafeLoader", yaml.SafeLoader)):
+        depth += isinstance(event, yaml.CollectionStartEvent) - isinstance(event, yaml.CollectionEndEvent)
+        if depth > MOST_DEEP or isinstance(event, yaml.AliasEvent):
+            raise ValueError(TOO_DEEP)
+    return msgspec.yaml.decode(text, type=kind)
 
 
 def _axes(w: float, x: float, y: float, z: float, id: int, path: Path) -> tuple[Vector, Vector, Vector]:

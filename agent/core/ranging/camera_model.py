@@ -31,7 +31,7 @@ class FocusFit(Struct, frozen=True, kw_only=True):
     The three parameters that a table of (rho, u) can identify (paper, section 3: k, f, c in its own gauge).
     """
 
-    u_inf_m: float
+    u_inf_m: Annotated[float, Meta(ge=-10, lt=0.5)]  # beyond, no target in a tank would ever be sharp
     b_m: float  # metre times lens position; negative where larger positions focus farther
     rho0: float  # lens position at which the range is infinite
     covariance: Symmetric  # of (u_inf_m, b_m, rho0)
@@ -45,6 +45,10 @@ class FocusFit(Struct, frozen=True, kw_only=True):
     sag: float = 0.0  # lens positions by which peaks shift when the camera looks straight up: see `focus.at_tilt`
     sag_sigma: float | None = None  # standard deviation of that; None: not measured
 
+    def __post_init__(self) -> None:
+        if self.b_m == 0.0:
+            raise ValueError("`b_m` is 0, as if all lens positions were sharp at one range")
+
 
 class CameraFit(Struct, frozen=True, kw_only=True):
     """The picture in water, and what the servos really do: angle = zero + gain * nominal angle of the pulse.
@@ -54,9 +58,9 @@ class CameraFit(Struct, frozen=True, kw_only=True):
     its distance behind the optical centre. The picture grows with the lens position: see `at_lens_position`.
     """
 
-    width_px: int
-    height_px: int
-    f_px: Positive  # at the lens position `lens`
+    width_px: Annotated[int, Meta(ge=1)]
+    height_px: Annotated[int, Meta(ge=1)]
+    f_px: Annotated[float, Meta(ge=1)]  # at the lens position `lens`
     cx_px: float
     cy_px: float
     bend: float = 0.0

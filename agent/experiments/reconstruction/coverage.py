@@ -94,7 +94,7 @@ class World:
             outputs = agent.step(inputs, self.now_ns)
             self.record(name, self.now_ns, encode(inputs), encode(outputs))
             if surveyor is not None and surveyor.keyframes > before:
-                self.all.add(surveyor.known.held[name, SURVEY_START_NS, surveyor.keyframes].frame)
+                self.all.add(surveyor.known.held[name, SURVEY_START_NS][surveyor.keyframes].frame)
                 made.append(surveyor.keyframes)
             if outputs.sweep is not None and outputs.sweep.block_px:
                 self._sweeps[name] = outputs.sweep, self.now_ns + SWEEP_NS, outputs
@@ -103,7 +103,7 @@ class World:
 
     def equal(self) -> bool:
         maps = {surveyor.known.as_bytes() for surveyor in self._surveyors()}
-        keys = {tuple(sorted(surveyor.known.held)) for surveyor in self._surveyors()}
+        keys = {tuple(surveyor.known.all_keys()) for surveyor in self._surveyors()}
         return len(maps) == len(keys) == 1
 
     def stop(self) -> None:

@@ -100,7 +100,7 @@ def swum(seed: int, seconds: float, every_s: float) -> Row:
             own = surveyor_of(agent.capabilities)
             if own is not None and own.keyframes > made[name]:
                 made[name] = own.keyframes
-                known.add(own.known.held[name, START_NS, own.keyframes].frame)
+                known.add(own.known.held[name, START_NS][own.keyframes].frame)
         if step % round(every_s * STEPS_S) == 0:
             shares.append(floor_share(known))
     wanted = known.solid()

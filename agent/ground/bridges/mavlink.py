@@ -231,7 +231,7 @@ MOST_SYSTEMS = 250  # ground stations are 255, and other programs about them 254
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 BEAT_NS = 1_000_000_000
 BEATS_AN_ORIGIN = 5
-MOST_UNDER_WAY = 64  # orders that wait for an answer
+MOST_UNDER_WAY = 64  # orders that wait for an answer; and as many that are urgent
 READS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
 READ_ONLY = "this bridge only looks; to order, start it with --as NAME"
 
@@ -321,9 +321,10 @@ class Gateway:
         if isinstance(what, No):
             self._deny(robot, what, *sender)
             return
-        one = _Asked(robot, what, *sender)
-        waits = one in self._under_way and what.verb not in URGENT  # asked again: its answer is on the way
-        if self._give is None or waits or len(self._under_way) >= MOST_UNDER_WAY:
+        one, urgent = _Asked(robot, what, *sender), what.verb in URGENT
+        waits = one in self._under_way and not urgent  # asked again: its answer is on the way
+        alike = sum((other.act.verb in URGENT) is urgent for other in self._under_way)
+        if self._give is None or waits or alike >= MOST_UNDER_WAY:
             return
         self._under_way.append(one)
         self._give(robot, what.verb, lambda outcome: self._over.put((one, outcome)))
@@ -449,7 +450,7 @@ def _arrived(link: socket.socket, reader: Any, stop: Event) -> list[Any]:
 @contextmanager
 def _ordering(console: OrderConsole) -> Iterator[Give]:
     """Orders, each in a thread, since they wait for their answer."""
-    with ThreadPoolExecutor(MOST_UNDER_WAY) as threads:
+    with ThreadPoolExecutor(2 * MOST_UNDER_WAY) as threads:
 
         def give(robot: str, verb: str, done: Done) -> None:
             def over(future: Future[Outcome]) -> None:

@@ -6,6 +6,7 @@ import asyncio
 import itertools
 import logging
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -81,7 +82,7 @@ class Recording:
 SHOWN = (STATE, LINK, NEAR, CLAIM, IMAGE, LOG, ANSWER)
 PERIOD_S = 0.1  # of the wall, between two looks at what has arrived: states come no more often
 CLOCK_S = 0.5  # of the wall, between two notes of what time it is in the fleet
-UNDER_WAY = 16  # orders that wait for answers at a time
+UNDER_WAY = 16  # orders that wait for answers at a time; and as many that are urgent
 
 
 class Wish(msgspec.Struct, frozen=True, kw_only=True):
@@ -118,18 +119,24 @@ class Live:
         self._give, self._recording = give, recording
         self._rows, self._numbers = Rows(fleet), itertools.count(1)
         self._shown_ns: dict[str, int] = {}  # when, of what is not shown each time
-        self._under_way: set[asyncio.Task[None]] = set()
+        # What is urgent has places and threads of its own: however many orders wait, a stop goes out.
+        self._under_way: dict[bool, set[asyncio.Task[None]]] = {False: set(), True: set()}
+        self._threads = {urgent: ThreadPoolExecutor(UNDER_WAY, "orders") for urgent in self._under_way}
 
     async def run(self, observer: Observer, stop: Event) -> None:
         """Until `stop` is set."""
         said_s = machine.monotonic_s() - CLOCK_S
-        while not stop.is_set():
-            for received in observer.drain():
-                self._take(received)
-            if (now_s := machine.monotonic_s()) - said_s >= CLOCK_S:
-                said_s = now_s
-                self._say_time()
-            await asyncio.sleep(PERIOD_S)
+        try:
+            while not stop.is_set():
+                for received in observer.drain():
+                    self._take(received)
+                if (now_s := machine.monotonic_s()) - said_s >= CLOCK_S:
+                    said_s = now_s
+                    self._say_time()
+                await asyncio.sleep(PERIOD_S)
+        finally:
+            for threads in self._threads.values():
+                threads.shutdown(cancel_futures=True)  # they use the console, which goes next
 
     def _take(self, received: Received) -> None:
         topic, chunks, payload, arrived_ns = received
@@ -163,17 +170,18 @@ class Live:
         if self._recording and isinstance(on := message.get("record"), bool):
             (self._recording.start if on else self._recording.stop)()
             self._say_time()
-        if self._give is None or "order" not in message or len(self._under_way) >= UNDER_WAY:
+        if self._give is None or "order" not in message:
             return
         try:
             wish = msgspec.convert(message["order"], Wish)
             seen = {robot: (int(start), int(sent)) for robot, (start, sent) in wish.seen.items()}
         except (msgspec.ValidationError, ValueError):
             return
-        if wish.robots and set(wish.robots) <= set(self._fleet.robot):
+        under_way = self._under_way[wish.verb in URGENT]
+        if wish.robots and set(wish.robots) <= set(self._fleet.robot) and len(under_way) < UNDER_WAY:
             task = asyncio.create_task(self._order(self._give, wish, seen))
-            self._under_way.add(task)
-            task.add_done_callback(self._under_way.discard)
+            under_way.add(task)
+            task.add_done_callback(under_way.discard)
 
     async def _order(self, give: Give, wish: Wish, seen: Seen) -> None:
         """Give it in a thread of its own, since it waits, and say on every page what comes of it."""
@@ -186,7 +194,7 @@ class Live:
                 loop.call_soon_threadsafe(self._board.say, text({"k": "outcome", **note, **reply._asdict()}))
 
         try:
-            await asyncio.to_thread(give_it)
+            await loop.run_in_executor(self._threads[wish.verb in URGENT], give_it)
         except Refusal as refusal:  # nothing went out
             self._board.say(text({"k": "outcome", **note, "trouble": str(refusal)}))
 

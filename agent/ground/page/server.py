@@ -28,7 +28,7 @@ import msgspec
 
 from agent.clock.clock import Clock
 from agent.core.codec import prepare
-from agent.core.config import ConfigError, Fleet, Target
+from agent.core.config import ConfigError, Fleet, Target, inside
 from agent.core.ranging.camera_model import load_calibration
 from agent.core.verbs import VERBS
 from agent.ground.console import NEAR_V, SURFACES_V, OrderConsole
@@ -120,7 +120,10 @@ class Site:
         hosts = request.headers.get_all("Host")
         if len(hosts) != 1 or hosts[0] not in self.hosts:
             return self._refuse(connection, http.HTTPStatus.FORBIDDEN, "another host's name")
-        where = urlsplit(request.path)
+        try:
+            where = urlsplit(request.path)
+        except ValueError:  # such as //[
+            return self._refuse(connection, http.HTTPStatus.BAD_REQUEST, "this is no path")
         if where.path == "/":
             return self._page(connection)
         if where.path != "/ws":
@@ -210,8 +213,8 @@ def hello(
     """The first message of a page.
 
     `beside`: the fleet file's folder, where calibrations of its cameras may lie: with one, how far a camera sees
-    to the left and right is drawn. `console`: as whom orders are given; None: none are. `records`: the page's process
-    can record.
+    to the left and right is drawn. Those that a recording names have to lie in it. `console`: as whom orders are given;
+    None: none are. `records`: the page's process can record.
     """
     return {
         "k": "hello",
@@ -237,7 +240,7 @@ def hello(
                 "depth_m": robot.depth_m,
                 "swims": fleet.navigation is not None,
                 "lamp": robot.lamp,
-                "half_view_deg": half_view_deg(beside / robot.calibration) if beside else None,
+                "half_view_deg": half_view_deg(beside, robot.calibration, kind) if beside else None,
             }
             for name, robot in fleet.robot.items()
         ],
@@ -255,10 +258,12 @@ def colour(target: Target) -> str | None:
     return target.colour or (None if target.picture else "red")
 
 
-def half_view_deg(calibration: Path) -> tuple[float, float] | None:
-    """How far a camera sees to either side, and up and down, in water; None: its calibration is not on this machine."""
-    with contextlib.suppress(ConfigError, OSError):
-        camera = load_calibration(calibration).camera
+def half_view_deg(beside: Path, calibration: str, kind: Kind) -> tuple[float, float] | None:
+    """How far a camera sees to either side, and up and down, in water; None: its calibration is not on this machine,
+    or a recording, which anybody may have made, names a file elsewhere."""
+    with contextlib.suppress(ConfigError):
+        path = inside(beside, calibration) if kind == "recording" else beside / calibration
+        camera = load_calibration(path).camera
         across, down = (side / 2 / camera.f_px for side in (camera.width_px, camera.height_px))
         return math.degrees(math.atan(across)), math.degrees(math.atan(down))
     return None

@@ -33,7 +33,7 @@ from safetensors.torch import save as save_tensors
 from torch import Tensor, nn
 from torch.nn import functional as fn
 
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, read_file, write_whole
 
 # --- the network ---
 
@@ -166,11 +166,9 @@ def load(path: Path) -> LU2Net:
 
 def _hashed(path: Path) -> dict[str, Tensor]:
     stated = hash_file(path)
-    for file in (path, stated):
-        if not file.is_file():
-            raise ConfigError(f"{file}: no such file; give weights that `aucamp train` wrote, hash beside")
-    data = path.read_bytes()
-    if stated.read_text(errors="replace").split()[:1] != [hashlib.sha256(data).hexdigest()]:
+    give = "give weights that `aucamp train` wrote, hash beside"
+    data, said = read_file(path, MOST_BYTES, give), read_file(stated, give=give)
+    if said.decode(errors="replace").split()[:1] != [hashlib.sha256(data).hexdigest()]:
         raise ConfigError(f"{path}: does not match {stated.name}; the file is damaged, fetch or train it again")
     try:
         return load_tensors(data)
@@ -190,8 +188,8 @@ def _checkpoint(path: Path) -> dict[str, Tensor]:
 def save(net: LU2Net, path: Path) -> None:
     """Weights as float32 safetensors, and their SHA-256 beside, in the format of sha256sum."""
     data = save_tensors({name: tensor.detach().cpu().contiguous() for name, tensor in net.state_dict().items()})
-    path.write_bytes(data)
-    hash_file(path).write_text(f"{hashlib.sha256(data).hexdigest()}  {path.name}\n")
+    write_whole(path, data)
+    write_whole(hash_file(path), f"{hashlib.sha256(data).hexdigest()}  {path.name}\n")
 
 
 def hash_file(path: Path) -> Path:

@@ -23,7 +23,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, read_file
 from agent.perception.tracking.appearance import (
     ANY_SCALE,
     NEAR_SCALES,
@@ -294,6 +294,7 @@ def check_box(box: Box, size: tuple[int, int]) -> None:
 # fails in its first update.
 
 # SHA-256 of the published files; the follower's thresholds were measured with them.
+MOST_BYTES = 2**24  # of one of its two files, which have 1 MB
 BACKBONE = ("nanotrack_backbone_sim.onnx", "530bdd0cd00f19afab79a863e71ba71e3312395a5dc9151af675082bdaaa2fc4")
 NECK = ("nanotrack_head_sim.onnx", "0d8c0637be849f092cc7236cae02e55c8b9455ebe37ba50601d6115db4247cd9")
 
@@ -348,9 +349,8 @@ def load_box_tracker(nanotrack: tuple[Path, Path] | None) -> BoxTracker:
 def load_nano(backbone: Path, neckhead: Path) -> Nano:
     """Raises ConfigError for files that are not the published ones of NanoTrack V2."""
     for path, (name, digest) in ((backbone, BACKBONE), (neckhead, NECK)):
-        if not path.is_file():
-            raise ConfigError(f"{path}: no such file; give the two ONNX files of NanoTrack V2 as backbone and neck")
-        if hashlib.sha256(path.read_bytes()).hexdigest() != digest:
+        data = read_file(path, MOST_BYTES, "give the two ONNX files of NanoTrack V2 as backbone and neck")
+        if hashlib.sha256(data).hexdigest() != digest:
             raise ConfigError(f"{path}: is not {name} of NanoTrack V2 (its SHA-256 differs); take it from its authors")
     level = cv2.utils.logging.getLogLevel()
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)  # it warns of targets that are not asked for

@@ -119,7 +119,7 @@ def _thinks(mind: Mind, now: int) -> tuple[Mind, Sweep | None]:
         if found == "kept":
             counts = sweep
         if found != "pending" or now - sweep.ended > WAITS:
-            sweep, party = None, release(party)
+            sweep, party = None, release(party, now_ns)
     idle = party.phase == "free" and sweep is None and not mind.off and counts is None
     if idle and acquainted(party, now_ns):
         party = ask(party, Lease(0, 5, HOLDS_S, False, (0.0, 0.0, 0.0), (("a", 1.0), ("b", 1.0))), now_ns)

@@ -6,6 +6,8 @@ import pytest
 
 from agent.capabilities.light.lease import (
     GONE_NS,
+    MOST_NS,
+    PAUSE_NS,
     Baseline,
     Mark,
     Party,
@@ -16,6 +18,7 @@ from agent.capabilities.light.lease import (
     baseline,
     hear,
     lit_by,
+    may_have,
     release,
     said_lease,
     tick,
@@ -72,9 +75,17 @@ def test_an_answer_to_another_lease_is_none() -> None:
 
 
 def test_somebody_busy_ends_the_wish_when_the_guard_is_over() -> None:
-    party = hear(asking(light("r2"), light("r3")), light("r2", ack=LeaseAck(1, 1, False, "busy", "r3")), 1)
+    theirs = Lease(1, 0, 8.0, False, None)
+    party = hear(asking(light("r2"), light("r3")), light("r3", lease=theirs), 1)
+    party = hear(party, light("r2", ack=LeaseAck(1, 1, False, "busy", "r3")), 1)
     assert tick(party, GUARD_NS, GUARD_NS - 1).phase == "asks"
     assert tick(party, GUARD_NS, GUARD_NS).phase == "free"
+
+
+@pytest.mark.parametrize("whose", [None, "r1", "r2", "r3"])
+def test_nobody_is_busy_with_a_lease_that_nobody_has(whose: str | None) -> None:
+    party = hear(asking(light("r2"), light("r3")), light("r2", ack=LeaseAck(1, 1, False, "busy", whose)), 1)
+    assert tick(party, GUARD_NS, GUARD_NS).phase == "holds"
 
 
 @pytest.mark.parametrize(
@@ -119,7 +130,7 @@ def test_what_is_left_of_a_lease_is_said_and_its_number_goes_up() -> None:
     party = asking()
     said = said_lease(party, 3_000_000_000)
     assert said is not None and said.left_s == pytest.approx(5.0)
-    again = ask(release(party), LEASE, 0)
+    again = ask(release(party, 0), LEASE, 0)
     assert again.mine is not None and again.mine.lease.number == 2
 
 
@@ -129,6 +140,59 @@ def test_who_was_never_heard_is_waited_for() -> None:
     assert baseline(party, LampNow(), GONE_NS) == "r2"
     assert acquainted(party, GONE_NS + 1)
     assert acquainted(hear(party, light("r2"), 0), 1)
+
+
+# --- shares -------------------------------------------------------------------------------------------------------
+
+STEP_NS = 50_000_000
+
+
+def beside_a_liar(wants: bool, whose: str, seconds: int = 300) -> tuple[list[str], Party]:
+    """The phases of r1, step by step. r2 says that it has the light, one lease after the other, that it has waited for
+    a minute, and that it is busy with the lease of `whose`; r3 is honest and wants nothing."""
+    party, phases, free_ns, waits_ns = Party("r1", 1, ("r2", "r3")), [], 0, 0
+    for step in range(20 * seconds):
+        now_ns = step * STEP_NS
+        number = 0 if party.mine is None else party.mine.lease.number
+        lease = Lease(step, 600, 30.0, True, None) if step % 100 == 0 or party.bound is None else party.bound.lease
+        said = light("r2", seq=step, lease=lease, ack=LeaseAck(1, number, False, "busy", whose))
+        party = hear(party, light("r3", seq=step, ack=LeaseAck(1, number, True)), now_ns)
+        before, party = party.phase, tick(hear(party, said, now_ns), GUARD_NS, now_ns)
+        if before == "asks" and party.phase == "free":
+            free_ns = now_ns + 200_000_000
+        if party.mine is not None and now_ns - party.mine.asked_ns > 5_000_000_000:
+            party, free_ns, waits_ns = release(party, now_ns), now_ns + 200_000_000, now_ns
+        phases.append(party.phase)
+        if wants and party.phase == "free" and now_ns >= free_ns:
+            waited = min((now_ns - waits_ns) // 100_000_000, 600)
+            lease = Lease(0, waited, 8.0, False, (1.0, 1.0, 0.1), (("r1", 1.0),))
+            if may_have(party, "r1", lease.left_s, now_ns):
+                party = ask(party, lease, now_ns)
+    return phases, party
+
+
+@pytest.mark.parametrize("whose", ["r1", "r2", "r3", "r9"])
+def test_who_wants_light_gets_it_whatever_a_neighbour_says(whose: str) -> None:
+    phases, party = beside_a_liar(True, whose)
+    assert phases.count("holds") > len(phases) / 8
+    assert len(party.had) < 1000
+
+
+def test_nobody_obeys_one_robot_for_all_of_a_minute() -> None:
+    phases, _ = beside_a_liar(False, "r2")
+    for minute in range(0, len(phases) - 1200, 20):
+        assert phases[minute : minute + 1200].count("obeys") <= MOST_NS // STEP_NS + 1
+
+
+def test_after_a_lease_its_holder_waits_behind_who_asked_meanwhile() -> None:
+    theirs = Lease(7, 600, 8.0, True, None)
+    bound = hear(Party("r1", 1, ("r2", "r3")), light("r2", lease=theirs), 0)
+    over = hear(bound, light("r2", seq=1), 3_000_000_000)
+    assert hear(over, light("r2", seq=2, lease=theirs), 3_000_000_000 + PAUSE_NS - 1).phase == "free"
+    assert hear(over, light("r2", seq=2, lease=theirs), 3_000_000_000 + PAUSE_NS).phase == "obeys"
+    asked = ask(over, LEASE, 3_000_000_000)
+    assert hear(asked, light("r2", seq=2, lease=theirs), 3_200_000_000).phase == "asks"
+    assert hear(asked, light("r3", seq=2, lease=theirs), 3_200_000_000).phase == "obeys"  # which had none
 
 
 # --- the proof ----------------------------------------------------------------------------------------------------

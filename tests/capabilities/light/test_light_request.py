@@ -81,7 +81,7 @@ def test_what_was_glimpsed_by_anothers_light_is_the_next_place_once() -> None:
     search, here = LightSearch(FLEET, "r1", CALIBRATION.camera), target_search()
     first, now_ns = search.place(R1.pose, LEVEL), sees_ball(here)
     lease = Lease(1, 0, 5.0, True, (0.6, 0.5, 0.1), (("r2", 1.0),))
-    party = Party("r1", 1, bound=Bound("r2", 1, lease, now_ns + 10**9))
+    party = Party("r1", 1, bound=Bound("r2", 1, lease, now_ns, now_ns + 10**9))
     assert search.follows(party, at(here, now_ns)) == lease.at_m
     assert search.follows(party, at(here, now_ns + 10**9)) == lease.at_m  # it is out of view again
     assert search.place(R1.pose, LEVEL) == glimpsed_m(FLEET, CALIBRATION.camera, None, at(here, now_ns)) != first

@@ -6,9 +6,20 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.capabilities.survey.candidates import TILTS_DEG, Ahead, Candidate, Where, ahead, better, drawn, gain
+from agent.capabilities.survey import candidates
+from agent.capabilities.survey.candidates import (
+    TILTS_DEG,
+    Ahead,
+    Candidate,
+    Where,
+    ahead,
+    better,
+    drawn,
+    gain,
+    with_claims,
+)
 from agent.capabilities.survey.coverage_map import CoverageMap, dose, place_m, rotation
-from agent.capabilities.survey.survey import APART_M, Surveyor
+from agent.capabilities.survey.survey import APART_M, CLAIMS_EACH_STEP, EACH_STEP, Surveyor
 from agent.core.capability_messages import Blocks, Frame, quantised
 from agent.core.config import Body, Navigation, Pose
 from agent.core.ranging.camera_model import Calibration
@@ -111,6 +122,18 @@ def surveyor() -> Surveyor:
 def choose(surveyor: Surveyor, claims=(), others=()) -> None:
     for k in range(40):
         surveyor.choose(Pose(x_m=0.5, y_m=0.5, yaw_deg=0.0), claims, others, k)
+
+
+def test_many_claims_are_taken_in_over_some_steps_and_all_count(surveyor, monkeypatch):
+    """Each costs a hundred rays through the map."""
+    claims = tuple(drawn(where(k % 5), "r2", k, 5).view for k in range(2 * CLAIMS_EACH_STEP + 1))
+    views, sound, known = [], candidates.expected, surveyor.known
+    monkeypatch.setattr(candidates, "expected", lambda view, *by: (views.append(view), sound(view, *by))[1])
+    for k in range(3):
+        views.clear()
+        surveyor.choose(Pose(x_m=0.5, y_m=0.5, yaw_deg=0.0), claims, (), k)
+        assert len(views) <= CLAIMS_EACH_STEP + EACH_STEP
+    assert surveyor._ahead.cells == with_claims(known.cells, known.solid(), claims, known.grid)
 
 
 def test_a_robot_that_swims_goes_nowhere_near_another(surveyor):

@@ -13,6 +13,7 @@ from agent.capabilities.survey.coverage_map import (
     EVERY,
     FREE,
     STARTS,
+    SUMS,
     CoverageMap,
     Grid,
     along,
@@ -29,6 +30,7 @@ from agent.capabilities.survey.coverage_map import (
 )
 from agent.core.capability_messages import SIGMAS_M, UNIT_M, Frame, Keyframe, View, measured, place_of, sigma_byte
 from agent.core.codec import encode
+from agent.core.topics import KEYFRAME
 from agent.experiments.reconstruction.coverage import SURVEY_CAMERA, gimbal_eye
 from agent.experiments.reconstruction.drawn_scene import look
 from tests.capabilities.survey.frames import FLEET, GRID, LENS, ROWS, SCENE, SIGMA, drawn_frames, frame
@@ -40,6 +42,7 @@ def map_of(frames) -> CoverageMap:
     known = CoverageMap(GRID)
     for one in frames:
         known.add(one)
+    known.let_go()
     return known
 
 
@@ -69,7 +72,51 @@ def test_of_many_starts_the_newest_count_whatever_came_first():
     for seed in range(3):
         random.Random(seed).shuffle(frames)
         known = map_of(frames)
-        assert known.as_bytes() == newest.as_bytes() and len(known.held) == STARTS
+        assert known.as_bytes() == newest.as_bytes() and len(known.all_keys()) == STARTS
+
+
+def held_of(silent: int) -> tuple[CoverageMap, list[Frame]]:
+    """A map with so many keyframes that one robot said itself."""
+    frames = [replace(FRAMES[k % len(FRAMES)], origin="r3", incarnation=1, number=k + 1) for k in range(silent)]
+    return map_of(frames), frames
+
+
+def test_what_others_say_of_an_origin_pushes_nothing_of_it_out():
+    known, frames = held_of(8)
+    keys, share = known.all_keys(), known.share()
+    for k in range(8):
+        known.add(replace(FRAMES[k], origin="r3", incarnation=100 + k, number=1), vouched=False)
+    for one in frames:
+        known.add(replace(one, depths=bytes(len(one.depths))), vouched=False)  # smaller bytes under its own numbers
+    known.let_go()
+    assert set(keys) < set(known.all_keys()) and len(known.all_keys()) == len(keys) + STARTS - 1
+    assert known.share() >= share
+    assert [known.held["r3", 1][k + 1].frame for k in range(8)] == frames
+
+
+def test_the_word_of_the_origin_goes_before_what_others_say_of_it():
+    known, frames = held_of(4)
+    invented = [replace(FRAMES[k], origin="r3", incarnation=100 + k, number=1) for k in range(STARTS - 1)]
+    for one in invented:
+        known.add(one, vouched=False)
+    again = replace(FRAMES[9], origin="r3", incarnation=50, number=1)
+    assert known.add(again)
+    known.let_go()
+    assert known.as_bytes() == map_of([*frames, again, *invented[1:]]).as_bytes()
+    true = replace(FRAMES[8], origin="r3", incarnation=102, number=1)
+    assert known.add(true) and known.held["r3", 102][1] == (true, True, b"")
+
+
+def test_a_start_that_gives_way_leaves_by_so_many_keyframes_a_step():
+    known, _ = held_of(2 * SUMS + 1)
+    for k in range(STARTS):
+        known.add(replace(FRAMES[k], origin="r3", incarnation=2 + k, number=1))
+    newest = map_of([replace(FRAMES[k], origin="r3", incarnation=2 + k, number=1) for k in range(STARTS)])
+    assert known.all_keys() == newest.all_keys() and known.sums == STARTS
+    for _ in range(3):
+        assert known.as_bytes() != newest.as_bytes()
+        known.let_go(SUMS)
+    assert known.as_bytes() == newest.as_bytes() and not known.leaving
 
 
 def test_another_hash_seed_gives_the_same_digest():
@@ -86,7 +133,8 @@ def test_another_hash_seed_gives_the_same_digest():
 def test_a_keyframe_fits_on_the_wire_and_quantising_costs_little():
     full = replace(FRAMES[0], depths=b"\xff\x0f" * 475, sigmas=b"\x50" * 475)
     said = Keyframe(fleet="survey", src="r1", dst="r2", incarnation=2**60, seq=999, sent_ns=2**60, frame=full)
-    assert len(encode(replace(said, frame=replace(full, incarnation=2**60)))) <= 1600
+    said = replace(said, frame=replace(full, incarnation=2**60))
+    assert len(encode(said)) <= 1600 and len(encode(replace(said, signature=bytes(64)))) <= KEYFRAME.limit
     for sigma_m in np.geomspace(0.001, 0.1, 200):
         assert abs(SIGMAS_M[sigma_byte(float(sigma_m))] / sigma_m - 1.0) < 0.0126  # half a step of 2.5 %
     assert (

@@ -360,6 +360,16 @@ WRONG = [
     ("f.json", wpilib(TAGS).replace('"ID": 17', '"ID": 600'), "size_m = 0.08", "tag 600 is none of the family 36h11"),
     ("f.json", '{"tags": 3}', "size_m = 0.08", "no layout of tags: "),
     ("f.json", wpilib(TAGS), "size_m = 0.08\nsize = 1", r"fleet.toml: key 'landmarks': unknown key `size`"),
+    ("tags.yaml", ros(TAGS).replace("qw: 0.", "qw: .nan #", 1), "", r"tags.yaml: "),
+    ("tags.yaml", ros(TAGS).replace("x: 0", "x: 1.0e+300 #", 1), "", r"tags.yaml: "),
+    ("tags.yaml", "a: " + "[" * 5000, "", "nested too deeply"),
+    ("tags.yaml", "- " * 50_000, "", "nested too deeply"),
+    ("tags.yaml", "a: &a [1]\ntag_bundles: [*a, *a]", "", "nested too deeply, or with aliases"),
+    ("tags.yaml", "tag_bundles: 2001-99-99", "", "no layout of tags: "),
+    ("f.json", '{"tags": ' + "[" * 5000, "size_m = 0.08", "nested too deeply"),
+    ("f.json", wpilib(TAGS).replace('"x": 0', '"x": 1e300, "_": 0', 1), "size_m = 0.08", r"f.json: "),
+    ("tags.toml", "[landmarks]\nsize_m = 1e300\ntag = []", "", "key 'landmarks.size_m': 1e\\+300 is beyond"),
+    ("tags.toml", "[landmarks]\nsize_m = inf\ntag = []", "", "key 'landmarks.size_m': not a finite number"),
     ("tags.csv", "", "", r"'tags.csv' is none of .toml \(a survey\), .yaml \(apriltag_ros\) and .json \(WPILib\)"),
 ]
 
@@ -374,5 +384,5 @@ def test_what_cannot_be_used_is_one_line(fleet, name, text, table, why):
 def test_a_file_that_is_not_there(fleet, tmp_path):
     path = fleet("tags.yaml", "")
     (tmp_path / "tags.yaml").unlink()
-    with pytest.raises(ConfigError, match=r"cannot be read \(No such file or directory\); correct `file`"):
+    with pytest.raises(ConfigError, match=r"tags.yaml: no such file; correct `file`"):
         load_fleet(path)

@@ -2,16 +2,21 @@
 
 import math
 
+import msgspec
 import numpy as np
 import pytest
+import tomli_w
 from msgspec.structs import replace
 
-from agent.core.config import Body, Pose
+from agent.core.config import Body, ConfigError, Pose, dump, read_toml
 from agent.core.ranging.camera_model import (
+    BodyFit,
+    Calibration,
     at_lens_position,
     camera_pose,
     centre_behind_skin_m,
     gimbal_deg,
+    load_calibration,
     look_at,
     pixel,
     ray,
@@ -114,3 +119,56 @@ def test_the_picture_grows_with_the_lens_position():
     grown = at_lens_position(BENT, 700.0)
     assert grown.f_px == pytest.approx(1169.0 * (1 + 400 * 4.2e-5), rel=1e-12)
     assert at_lens_position(grown, 300.0).f_px == pytest.approx(1169.0, rel=1e-12)
+
+
+def numbers(value, path=()):
+    """Where the numbers of a file are."""
+    if isinstance(value, dict | list):
+        parts = value.items() if isinstance(value, dict) else enumerate(value)
+        return [found for name, child in parts for found in numbers(child, (*path, name))]
+    return [path] if isinstance(value, int | float) else []
+
+
+WHOLE = Calibration(
+    robot="r1",
+    made="2026-01-01",
+    source="a test",
+    focus=replace(known_lens.FITTED, sag=1.0, sag_sigma=0.5),
+    camera=replace(CAMERA, covariance=(0.0,) * 55),
+    body=BodyFit(
+        mass_kg=5.0, drag=2.0, drag2=20.0, inertia_kgm2=0.05, turn_drag=0.02, turn_drag2=0.1, lag_s=0.1,
+        sigma=(0.01,) * 7, misfit=1.0, fixes=100,
+    ),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("odd", [math.nan, math.inf, -math.inf, 1e300])
+def test_no_number_of_a_calibration_may_be_odd(tmp_path, odd: float) -> None:
+    path = tmp_path / "r1.toml"
+    path.write_text(dump(WHOLE))
+    assert load_calibration(path) == WHOLE
+    places = numbers(read_toml(path))
+    assert len(places) > 100
+    for place in places:
+        data = read_toml(path)
+        *above, last = place
+        there = data
+        for name in above:
+            there = there[name]
+        there[last] = odd
+        damaged = tmp_path / "damaged.toml"
+        damaged.write_text(tomli_w.dumps(data))
+        with pytest.raises(ConfigError) as error:
+            load_calibration(damaged)
+        key = ".".join(str(name) for name in place if isinstance(name, str))
+        assert str(error.value).startswith(f"{damaged}: key '{key}") and "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize(("key", "value"), [("u_inf_m", 0.5), ("b_m", 0.0), ("f_px", 1e-9), ("width_px", 0)])
+def test_what_no_camera_can_be_is_refused(tmp_path, key: str, value: float) -> None:
+    data = msgspec.to_builtins(WHOLE)
+    table = "focus" if key in data["focus"] else "camera"
+    data[table][key] = value
+    (tmp_path / "r1.toml").write_text(tomli_w.dumps(data))
+    with pytest.raises(ConfigError, match=rf"r1\.toml: key '{table}.*{key}|r1\.toml: key '{table}': `{key}` is 0"):
+        load_calibration(tmp_path / "r1.toml")

@@ -168,6 +168,15 @@ def test_asked_again_while_it_waits_is_asked_once_but_a_stop_is_always_given(sta
     assert station.orders() == [("r1", "arm"), *(("r1", "disarm"),) * 3]
 
 
+def test_a_flood_of_other_orders_takes_no_place_of_a_stop(station: Station) -> None:
+    for number in range(1, 200):
+        station._writer.srcSystem = number
+        station.command(1, ARM, 1.0)
+    assert station.orders() == [("r1", "arm")] * 64
+    station.command(1, ARM, 0.0)
+    assert station.orders()[-1] == ("r1", "disarm")
+
+
 def test_a_flood_of_stops_does_not_pile_up(station: Station) -> None:
     for _ in range(1000):
         station.command(1, ARM, 0.0)

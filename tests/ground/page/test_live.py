@@ -11,6 +11,7 @@ from agent.clock.clock import SystemClock
 from agent.core.codec import Refusal
 from agent.core.config import ConfigError
 from agent.core.topics import LINK, LOG, STATE
+from agent.ground.console import OrderConsole
 from agent.ground.page.live import UNDER_WAY, Live, Recording, Reply, give
 from agent.ground.page.rows import Board
 from agent.process.transport import Received
@@ -28,13 +29,18 @@ def lines(board: Board) -> list[dict]:
     return [line for message in map(json.loads, board.next_for(viewer)) for line in message.get("lines", ())]
 
 
+async def given(live: Live) -> None:
+    """All orders that are under way."""
+    await asyncio.gather(*(task for tasks in live._under_way.values() for task in tasks))
+
+
 def heard(live: Live, *messages: dict) -> None:
     """What pages say, until all of it is done."""
 
     async def say() -> None:
         for message in messages:
             await live.heard(message)
-        await asyncio.gather(*live._under_way)
+        await given(live)
         await asyncio.sleep(0)
 
     asyncio.run(say())
@@ -97,23 +103,45 @@ def test_who_only_looks_orders_nothing() -> None:
     assert lines(board) == []
 
 
-def test_orders_that_wait_are_limited() -> None:
-    board, go = Board(), threading.Event()
+def test_orders_that_wait_are_limited_and_a_stop_does_not_wait_for_them() -> None:
+    board, go, stops = Board(), threading.Event(), []
 
-    def waits(*order):
-        go.wait(30)
+    def waits(robots, verb, args, seen):
+        if verb == "stop":
+            stops.append(verb)
+        else:
+            go.wait(30)
         yield Reply("r1", True, "", "1")
 
     live = Live(FLEET, board, SystemClock(), waits)
 
     async def floods() -> None:
         for _ in range(UNDER_WAY + 5):
-            await live.heard(STOP)
+            await live.heard({"order": {"robots": ["r1"], "verb": "clock"}})
+        await live.heard(STOP)
+        while not stops:
+            await asyncio.sleep(0.01)
         go.set()
-        await asyncio.gather(*live._under_way)
+        await given(live)
 
     asyncio.run(floods())
-    assert len([line for line in lines(board) if line["k"] == "order"]) == UNDER_WAY
+    verbs = [line["verb"] for line in lines(board) if line["k"] == "order"]
+    assert verbs == ["clock"] * UNDER_WAY + ["stop"]
+
+
+@pytest.mark.parametrize("value", [2**63, 10**20, -(10**30)])
+def test_a_number_that_no_message_holds_has_an_outcome(value: int) -> None:
+    board = Board()
+
+    def gives(robots, verb, args, seen):
+        with OrderConsole(FLEET, "ann") as console:
+            yield from give(console, robots, verb, args, seen)
+
+    for verb, name in (("hold", "depth_m"), ("target_box", "frame")):
+        heard(
+            Live(FLEET, board, SystemClock(), gives), {"order": {"robots": ["r1"], "verb": verb, "args": {name: value}}}
+        )
+        assert "more than 64 bits" in lines(board)[-1]["trouble"]
 
 
 class Console:

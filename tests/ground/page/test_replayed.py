@@ -3,19 +3,24 @@
 import asyncio
 import html
 import json
+import os
 import re
 import shutil
 from pathlib import Path
 from threading import Event
 
+import msgspec
 import pytest
 
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, dump
+from agent.core.ranging.camera_model import Calibration
 from agent.core.topics import IMAGE, LINK, LOG, STATE
 from agent.ground.page.replayed import Reel, Replayed, came_of, show_what_came
 from agent.ground.page.rows import LINES, Board, Rows
+from agent.ground.page.server import hello
 from replay.report.report import report
 from tests.ground.page.shown import FLEET, NOW_NS, image, log, record, row, state
+from tests.known_lens import CAMERA, PLAIN
 from tests.places import GOLDEN
 from tests.replay.overheard_run import overheard_run
 from tests.replay.page_tables import table
@@ -186,3 +191,27 @@ def test_why_it_cannot_be_told_is_said(tmp_path: Path) -> None:
     assert message["looks"] == message["ends"] == []
     ((kind, text),) = message["said"]
     assert kind == "bad" and text.startswith("What came of it cannot be told: ") and "no recording" in text
+
+
+def test_a_recording_names_no_calibration_outside_of_its_folder(tmp_path) -> None:
+    """A FIFO hangs who opens it, and /dev/zero never ends."""
+    os.mkfifo(tmp_path / "pipe")
+    whole = Calibration(robot="r1", made="2026-01-01", source="test", focus=PLAIN, camera=CAMERA)
+    run = tmp_path / "run"
+    run.mkdir()
+    for folder in (run, tmp_path):
+        (folder / "r1.toml").write_text(dump(whole))
+    for name, kind, seen in (
+        ("r1.toml", "recording", True),
+        ("../r1.toml", "recording", False),
+        (str(tmp_path / "r1.toml"), "recording", False),
+        ("../r1.toml", "live", True),
+        ("../pipe", "recording", False),
+        ("../pipe", "live", False),
+        ("/dev/zero", "recording", False),
+        ("/dev/zero", "live", False),
+    ):
+        robot = msgspec.structs.replace(FLEET.robot["r1"], calibration=name)
+        fleet = msgspec.structs.replace(FLEET, robot={**FLEET.robot, "r1": robot})
+        found = hello(fleet, kind, run)["robots"][0]["half_view_deg"]
+        assert (found is not None) == seen, (name, kind)

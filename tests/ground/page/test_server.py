@@ -100,6 +100,10 @@ def test_there_is_nothing_else(port) -> None:
     assert answer(port, "/index.html")[0] == answer(port, "/../pyproject.toml")[0] == 404
 
 
+def test_what_is_no_path_is_a_bad_request(port) -> None:
+    assert answer(port, "//[")[0] == 400
+
+
 def test_it_listens_on_this_machine_alone(port) -> None:
     with socket.socket() as other:  # of all loopback addresses it has one
         other.settimeout(5)

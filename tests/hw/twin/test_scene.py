@@ -336,6 +336,9 @@ def test_each_kind_of_event_has_a_table_that_is_read(tmp_path):
         ('kind = "sensor_dead"\nsensor = 5', "<= 4"),
         ('kind = "power_cut"\nfor_s = 0', "> 0"),
         ('kind = "tag_lost"\nid = 12', "unknown key `robot`"),
+        ('kind = "sensor_offset"\nsensor = 1\noffset_m = nan', r"'event\[0\]\.offset_m': not a finite number"),
+        ('kind = "serial_unplug"\nfor_s = inf', r"'event\[0\]\.for_s': not a finite number"),
+        ('kind = "thruster_gain"\nthruster = 1\ngain = 1e300', r"'event\[0\]\.gain': 1e\+300 is beyond"),
     ],
 )
 def test_an_event_that_cannot_be_is_one_line(tmp_path, table, says):

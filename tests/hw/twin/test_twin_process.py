@@ -6,13 +6,15 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
-from agent.core.config import Landmarks
+from agent.core.config import ConfigError, Landmarks
 from agent.core.step_io import SetPoint
 from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import Roi
@@ -21,7 +23,7 @@ from hw.twin.board import Board
 from hw.twin.calibration_bench import BenchClient
 from hw.twin.dive import Dive, run_in_lock_step
 from hw.twin.scene import SCENES
-from hw.twin.twin_folder import locked, twin_dir
+from hw.twin.twin_folder import clock_path, locked, twin_dir
 from tests.places import ROOT
 from tests.waiting import until
 
@@ -242,3 +244,25 @@ def test_the_firmware_lets_a_robot_hover(tmp_path, fleet_file):
     assert errors_m[0] == pytest.approx(-0.05)  # the crew lets go 5 cm too deep
     assert np.sqrt(np.mean(np.square(errors_m[-200:]))) < 2e-3
     assert abs(dive.states["quaternion"][0, 1:3]).max() < 0.005  # half of 0.6 degrees
+
+
+@pytest.mark.parametrize("of_whom", ["others can write", "another user", "a link"])
+def test_a_folder_among_temporary_files_that_others_made_is_refused(tmp_path, monkeypatch, fleet_file, of_whom) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    fleet = load_fleet(fleet_file)
+    fleet = replace(fleet, twin=replace(fleet.twin, dir=None))
+    with locked(twin_dir(fleet)) as folder:  # nobody was there before
+        assert folder.stat().st_mode & 0o777 == folder.parent.stat().st_mode & 0o777 == 0o700
+    if of_whom == "others can write":
+        folder.parent.chmod(0o777)
+    elif of_whom == "another user":
+        me = os.getuid()
+        monkeypatch.setattr(os, "getuid", lambda: me + 1)
+        folder.parent.rename(tmp_path / f"aucamp-{me + 1}")
+    else:
+        folder.parent.rename(tmp_path / "elsewhere")
+        folder.parent.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(ConfigError, match=r"set twin\.dir to a folder of yours"):
+        twin_dir(fleet)
+    with pytest.raises(ConfigError, match=r"set twin\.dir to a folder of yours"):  # agents follow no strange clock
+        clock_path(fleet)

@@ -107,7 +107,7 @@ def test_neighbours_that_do_not_hear_each_other(chain: Fleet, tmp_path: Path) ->
     dials = f"no link: r3 dials r2 at {chain.robot['r2'].listen}; look from r3's computer: aucamp doctor FLEET --as r3"
     assert only(
         lines,
-        "wrong r1: r2 does not hear r1: they are linked, so their rules or fleet files differ",
+        "wrong r1: r2 does not hear r1: their link is mute, and r2 dials r1 again each second",
         f"wrong r2: r2 and r3 do not hear each other: {dials}",
     )
     unseen = "they have no link, or other rules; look from"

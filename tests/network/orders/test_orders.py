@@ -19,11 +19,12 @@ from agent.core.config import Access, ConfigError, Fleet, dump
 from agent.core.messages import MAX_ORDER, Answer, Order
 from agent.core.topics import ANSWER
 from agent.ground.console import OrderConsole
-from agent.process.links import WAITING
+from agent.process.links import ALL_WAITING, WAITING
 from agent.process.transport import Observer
 from router_config.settings import observer_config
 from tests.killing import killed_after
 from tests.network.orders.answering import Loop
+from tests.network.secured.parties import client
 from tests.places import ROOT
 from tests.waiting import until
 
@@ -187,6 +188,64 @@ def test_a_console_cannot_fill_the_robot(loops) -> None:
         for _ in range(WAITING + 4):
             assert over.acquire(timeout=SLOW_S)  # and all are let go
     assert len(loops["r1"].taken) == WAITING
+
+
+def test_a_flood_under_many_names_takes_no_place_of_a_stop(loops) -> None:
+    loops["r1"].works.clear()
+    refused = threading.Semaphore(0)
+    with stranger(fleet_of(loops)) as session:
+        for i in range(6 * WAITING):
+            session.get(
+                order_key("r1", f"c{i % 6}"),
+                zenoh.handlers.Callback(
+                    lambda reply: refused.release() if reply.err else None, lambda: None, indirect=False
+                ),
+                payload=encode(Order(id=i, verb="resume")),
+                encoding=encoding(Order),
+                timeout=SLOW_S,
+            )
+        for _ in range(6 * WAITING - ALL_WAITING):
+            assert refused.acquire(timeout=SLOW_S)
+        # The other five names stop, too: each has places of its own.
+        asked = [
+            threading.Thread(target=lambda i=i: stopped.extend(ask(session, order_key("r1", f"c{i}"), STOP)))
+            for i in range(6)
+        ]
+        stopped: list = []
+        for thread in asked:
+            thread.start()
+        until(lambda: len(loops["r1"].transport._box._urgent) == 6)
+        loops["r1"].works.set()
+        for thread in asked:
+            thread.join()
+    assert len(stopped) == 6 and all(reply.ok for reply in stopped)
+    verbs = [decode(ordered.payload, Order).verb for ordered in loops["r1"].taken]
+    assert verbs == ["stop"] * 6 + ["resume"] * ALL_WAITING
+
+
+@pytest.mark.parametrize(
+    ("key", "robot", "off"), [("r2", "r1", 0), ("r2", "r2", 1), ("*", "r2", 0)], ids=["robot", "id", "key"]
+)
+def test_who_answers_in_anothers_place_is_not_believed(loops, key: str, robot: str, off: int) -> None:
+    """A client of r1, while r2 hangs."""
+    loops["r2"].works.clear()
+    told = threading.Event()
+
+    def lies(query: zenoh.Query) -> None:
+        order = decode(query.payload.to_bytes(), Order)
+        answer = Answer(robot=robot, console="ann", id=order.id + off, order="stop", ok=True, arrived_ns=1, sent_ns=2)
+        query.reply(order_key(key), encode(answer), encoding=encoding(Answer))
+        query.drop()
+        told.set()
+
+    with console(loops) as ann, zenoh.open(client(fleet_of(loops).robot["r1"].listen, None)) as liar:
+        liar.declare_queryable(order_key("r2", "*"), zenoh.handlers.Callback(lies, indirect=False))
+
+        def lied() -> bool:
+            assert (outcome := ann.order(["r2"], "stop", answer_s=0.3)["r2"]).answer is None, outcome
+            return told.is_set()
+
+        until(lied)
 
 
 def test_a_step_that_breaks_leaves_nobody_waiting(loops) -> None:
