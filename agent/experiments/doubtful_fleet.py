@@ -24,7 +24,7 @@ from agent.core.target_state import TargetState
 STEP_NS, SAY_STEPS, LOOK_STEPS = 50_000_000, 2, 10  # robots speak at 10 Hz, and look at 2 Hz
 START_NS = 10**18
 TANK_M = (3.0, 2.0, 1.0)
-MIDDLE_M = np.array([1.5, 1.0, 0.4])
+MIDDLE_M: NDArray[np.float64] = np.array([1.5, 1.0, 0.4])
 STAND_M = 0.6  # of the robots around the middle
 ALONG_M, ACROSS_M = 0.003, 0.0012  # of a sample, in and across its line of sight
 STAYS_M = 0.001  # of each robot's own pose and calibration, an axis
