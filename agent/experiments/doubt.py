@@ -47,7 +47,7 @@ def gone(s: float) -> Array | None:
 
 
 def creeps(s: float) -> Array:
-    return MIDDLE_M + np.array([0.0, 1e-3 * max(s - WRONG_S, 0.0), 0.0])
+    return np.asarray(MIDDLE_M + np.array([0.0, 1e-3 * max(s - WRONG_S, 0.0), 0.0]))
 
 
 def apart(i: int, s: float) -> Array:

@@ -174,4 +174,4 @@ def test_a_schema_as_deep_as_the_stack_is_no_message() -> None:
         decode(bomb, Estimate)
     assert len(str(caught.value)) < 200
     with pytest.raises(Refusal):
-        decode(encode(estimate("r1", "r2")).replace(b"\xa6schema\x02", b"\xa6schema\x80"), Estimate)
+        decode(encode(estimate("r1", "r2")).replace(b"\xa6schema\x03", b"\xa6schema\x80"), Estimate)
