@@ -109,11 +109,11 @@ class Consistency(Revertible):
             return
         who, unseen_ns = sorted(name for name, each in nats.items() if each >= MISSED), now_ns - found_ns
         if (len(who) >= 2 and unseen_ns >= FOUND_NS) or (who and unseen_ns >= ALONE_NS):
-            self._put("missed", "missing", f"{', '.join(who)} look where it was and do not see it", now_ns)
+            self._put("missed", "missing", f"not seen where it was by {', '.join(who)}", now_ns)
         elif who and unseen_ns >= FOUND_NS:
-            self._put("missed", "suspect", f"{who[0]} looks where it was and does not see it", now_ns)
+            self._put("missed", "suspect", f"not seen where it was by {who[0]}", now_ns)
         elif len(who) >= 2 and unseen_ns < SEES_NS:
-            self._put("missed", "contradicted", f"{', '.join(who)} do not see it where another does", now_ns)
+            self._put("missed", "contradicted", f"not seen by {', '.join(who)} where another sees it", now_ns)
 
     def _raise(self, kind: str, value: float, limits: tuple[float, float], text: str, now_ns: int) -> None:
         if value > limits[0]:

@@ -59,7 +59,6 @@ CLAIMS: dict[str, Entry] = {
     "veil": Entry(S + "veil.claim", "a lamp's veil in twin and kernel, against Monte Carlo", LIGHT),
     "night": Entry(B + "light.bench_night", "robots find a ball by each other's light", LIGHT, ("agent/fleets",)),
     "leases": Entry(B + "light.bench_leases", "no sweep counts in which a lamp changed", LIGHT),
-    "calibration": Entry(E + "calibration", "range against focus position, on the bench", FOCUS),
     "depth": Entry(E + "depth", "depth of whole views from focus: our peak, the paper's", FOCUS),
     "consistency": Entry(B + "bench_consistency", "whether measurements are as wrong as they say", FOCUS),
     "peak-shift": Entry(B + "pictures.bench_peak_shift", "how far enhancement moves the focus peak", FOCUS),
