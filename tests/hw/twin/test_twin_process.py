@@ -8,6 +8,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -246,9 +247,18 @@ def test_the_firmware_lets_a_robot_hover(tmp_path, fleet_file):
     assert abs(dive.states["quaternion"][0, 1:3]).max() < 0.005  # half of 0.6 degrees
 
 
+@pytest.fixture
+def short_path() -> Iterator[Path]:
+    """A folder whose sockets have names that are short enough."""
+    with tempfile.TemporaryDirectory() as folder:
+        yield Path(folder)
+
+
 @pytest.mark.parametrize("of_whom", ["others can write", "another user", "a link"])
-def test_a_folder_among_temporary_files_that_others_made_is_refused(tmp_path, monkeypatch, fleet_file, of_whom) -> None:
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+def test_a_folder_among_temporary_files_that_others_made_is_refused(
+    short_path, monkeypatch, fleet_file, of_whom
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(short_path))
     fleet = load_fleet(fleet_file)
     fleet = replace(fleet, twin=replace(fleet.twin, dir=None))
     with locked(twin_dir(fleet)) as folder:  # nobody was there before
@@ -258,10 +268,10 @@ def test_a_folder_among_temporary_files_that_others_made_is_refused(tmp_path, mo
     elif of_whom == "another user":
         me = os.getuid()
         monkeypatch.setattr(os, "getuid", lambda: me + 1)
-        folder.parent.rename(tmp_path / f"aucamp-{me + 1}")
+        folder.parent.rename(short_path / f"aucamp-{me + 1}")
     else:
-        folder.parent.rename(tmp_path / "elsewhere")
-        folder.parent.symlink_to(tmp_path / "elsewhere")
+        folder.parent.rename(short_path / "elsewhere")
+        folder.parent.symlink_to(short_path / "elsewhere")
     with pytest.raises(ConfigError, match=r"set twin\.dir to a folder of yours"):
         twin_dir(fleet)
     with pytest.raises(ConfigError, match=r"set twin\.dir to a folder of yours"):  # agents follow no strange clock
