@@ -108,9 +108,11 @@ class TargetState(Revertible):
         else:
             self.update = self.estimator.tick(self.prior, self.cache, now_ns)
         self.consistency.update(self.update.explain, self.prior is None, now_ns)
-        if self.estimator.valid or self.cache.usable(now_ns, self._validity_ns):
-            self._seen_ns = now_ns
-        self.consistency.missed({self._robot: self._missed, **self.cache.missed(now_ns)}, self._seen_ns, now_ns)
+        sees = [name for name, _ in self.cache.usable(now_ns, self._validity_ns)]
+        sees += [self._robot] if self.estimator.valid else []
+        self._seen_ns = now_ns if sees else self._seen_ns
+        nats = {self._robot: self._missed, **self.cache.missed(now_ns)}
+        self.consistency.missed(nats, sees, self._seen_ns, now_ns)
         self.prior = self.bearing = None
         knew, self.knows = self.knows, "blind"
         if self.estimator.valid:

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from typing import NamedTuple
 
 from msgspec import UNSET
@@ -27,7 +27,6 @@ LONG = 3.5  # sigma, of a factor that all ranges have in common
 
 # Misses are counted in nats: -log of the probability to see nothing though it is there.
 MISSED = 3.0  # one in twenty
-SEES_NS = 1_000_000_000  # who found it so lately sees it
 FOUND_NS, ALONE_NS = 8_000_000_000, 20_000_000_000  # nobody found it for so long: two robots missed it; one did
 
 
@@ -103,8 +102,9 @@ class Consistency(Revertible):
                 what = f"all ranges are {100.0 * abs(by):.1f} % (+-{100.0 * sigma:.1f}) {'long' if by > 0 else 'short'}"
                 self._put("stretch", "suspect", f"{what}: check radius_m, refractive_index and the survey", now_ns)
 
-    def missed(self, nats: Mapping[str, float], found_ns: int | None, now_ns: int) -> None:
-        """Take note of who looks where the target should be and does not see it. found_ns: when any robot last did."""
+    def missed(self, nats: Mapping[str, float], sees: Collection[str], found_ns: int | None, now_ns: int) -> None:
+        """Take note of who looks where the target should be and does not see it. sees: who does; found_ns: when a robot
+        last did."""
         if found_ns is None:
             return
         who, unseen_ns = sorted(name for name, each in nats.items() if each >= MISSED), now_ns - found_ns
@@ -112,7 +112,7 @@ class Consistency(Revertible):
             self._put("missed", "missing", f"not seen where it was by {', '.join(who)}", now_ns)
         elif who and unseen_ns >= FOUND_NS:
             self._put("missed", "suspect", f"not seen where it was by {who[0]}", now_ns)
-        elif len(who) >= 2 and unseen_ns < SEES_NS:
+        elif len(who) >= 2 and any(name not in who for name in sees):
             self._put("missed", "contradicted", f"not seen by {', '.join(who)} where another sees it", now_ns)
 
     def _raise(self, kind: str, value: float, limits: tuple[float, float], text: str, now_ns: int) -> None:
