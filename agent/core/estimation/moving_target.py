@@ -231,21 +231,20 @@ class MovingTarget(Revertible):
 
 
 def unseen(believed: Posterior, dynamics: Dynamics, tank_m: Vector, now_ns: int) -> Posterior:
-    """Where a target may be now that was last known to be there at believed.t_ns. One that turns may still go on for
-    a while; else nothing is assumed of its course, but that it is in the tank, in each axis anywhere alike."""
+    """What is known at now_ns of where a target is that was last known at believed.t_ns: that place, and how far it can
+    have gone since; nothing is assumed of its course, but that it is in the tank, in each axis anywhere alike."""
     h_s = (now_ns - believed.t_ns) * 1e-9
     if h_s <= 0.0:
         return believed
-    reach_m, place_m2, x_m, v_m_s = dynamics.first_speed_m_s * h_s, 0.0, believed.x_m, (0.0, 0.0, 0.0)
+    reach_m, place_m2 = dynamics.first_speed_m_s * h_s, 0.0
     if math.isfinite(dynamics.turn_s):
-        by, (u, v, w) = growth(dynamics, h_s), believed.v_m_s
+        by = growth(dynamics, h_s)
         reach_m, place_m2 = by.reach_s * dynamics.first_speed_m_s, by.place_m2
-        x_m, v_m_s = add(x_m, by.reach_s, believed.v_m_s), (by.kept * u, by.kept * v, by.kept * w)
     information = invert(plus(believed.cov_m2, times(place_m2 + reach_m * reach_m, dynamics.axes)))
     x, y, z = (12.0 / (size * size) for size in tank_m)
     covariance = invert(plus(information, (x, 0.0, 0.0, y, 0.0, z)))
-    known = add(apply(information, x_m), 1.0, (6.0 / tank_m[0], 6.0 / tank_m[1], 6.0 / tank_m[2]))
-    return Posterior(apply(covariance, known), covariance, v_m_s, now_ns)
+    known = add(apply(information, believed.x_m), 1.0, (6.0 / tank_m[0], 6.0 / tank_m[1], 6.0 / tank_m[2]))
+    return believed._replace(x_m=apply(covariance, known), cov_m2=covariance)
 
 
 def _posterior(track: Track) -> Posterior:
