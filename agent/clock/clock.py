@@ -153,6 +153,9 @@ MAGIC_WORD, SEQUENCE, BASE, WALL, RATE, HORIZON, ROWS, START, ACHIEVED = range(9
 ACTIVE, REACHED, SLACK = range(3)  # of a row
 PPM = 1_000_000
 
+FARTHEST_NS = 2**62  # the year 2116
+LOOKS = 1000  # at a line that is being changed: it takes a writer a millionth of a second
+
 _LOCK = struct.Struct("hhqqi4x")  # struct flock of 64-bit Linux: type, whence, start, length, process
 
 
@@ -186,12 +189,16 @@ class ClockFile:
     """One mapping of the file. `words` is shared with every process that maps it."""
 
     def __init__(self, fd: int) -> None:
+        """Raises ValueError for a file that is no whole clock."""
         self.fd = fd
         self._map = mmap.mmap(fd, 0)
-        self.words = memoryview(self._map).cast("q")
-        count = self.words[ROWS]
+        count = struct.unpack_from("q", self._map, 8 * ROWS)[0]
+        if len(self._map) != 8 * (HEAD + ROW * count):
+            raise ValueError("rows that are not there")
         names = (bytes(self._map[8 * (HEAD + ROW * i + NAME_WORD) :][:NAME_BYTES]) for i in range(count))
         self.rows = {name.rstrip(b"\0").decode(): i for i, name in enumerate(names)}
+        self.words = memoryview(self._map).cast("q")
+        self._newest: Line | None = None
 
     def close(self) -> None:
         self.words.release()
@@ -199,12 +206,18 @@ class ClockFile:
         os.close(self.fd)
 
     def line(self) -> Line:
+        """The newest that is whole: a twin that was killed may have left half of one. Raises ValueError where none
+        ever was."""
         words = self.words
-        while True:
+        for _ in range(LOOKS):
             before = words[SEQUENCE]
             line = Line(words[BASE], words[WALL], words[RATE] / PPM, words[HORIZON], words[ACHIEVED] / PPM)
             if before == words[SEQUENCE] and not before & 1:
+                self._newest = line
                 return line
+        if self._newest is None:
+            raise ValueError("no whole line")
+        return self._newest
 
     def publish(self, line: Line) -> None:
         words = self.words
@@ -267,7 +280,15 @@ def attach(path: Path) -> ClockFile | None:
     if size < 8 * HEAD or struct.unpack_from("q", head)[0] != MAGIC:
         os.close(fd)
         return None
-    return ClockFile(fd)
+    try:
+        file = ClockFile(fd)
+        line = file.line()
+        if line.rate <= 0.0 or max(abs(line.base_ns), abs(line.wall_ns), abs(line.horizon_ns)) > FARTHEST_NS:
+            raise ValueError("no line of a twin")
+    except ValueError:
+        os.close(fd)
+        return None
+    return file
 
 
 def lock(fd: int, byte: int) -> None:

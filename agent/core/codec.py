@@ -94,18 +94,76 @@ def encoding(kind: type[Message]) -> str:
     return f"application/msgpack;aucamp.{kind.__name__}"
 
 
+def printable(text: str) -> str:
+    """The same in one line that steers no terminal."""
+    return "".join(letter if letter.isprintable() else "?" for letter in text)
+
+
 # --- stated size of a picture ---
 # A decoder takes as much memory as the head of a picture asks for, so the head is read first.
 
 
 def stated_size(data: bytes) -> tuple[int, int] | None:
-    """Width and height in pixels as the head of a PNG or JPEG states them; None where it is neither.
+    """Width and height in pixels as the head of a PNG, JPEG, BMP, WebP or TIFF states them; None where it is none.
 
-    Source: W3C PNG, 11.2.2 (IHDR); ITU-T T.81, B.1.1.3 and B.2.2 (markers and frame header).
+    Source: W3C PNG, 11.2.2 (IHDR); ITU-T T.81, B.1.1.3 and B.2.2 (markers and frame header); BITMAPCOREHEADER and
+    BITMAPINFOHEADER; RFC 9649, 2.5 to 2.7; TIFF 6.0, section 2.
     """
-    if data.startswith(b"\x89PNG\r\n\x1a\n") and len(data) >= 24:
-        width, height = struct.unpack_from(">II", data, 16)
-        return width, height
+    with suppress(struct.error):
+        if data.startswith(b"\x89PNG\r\n\x1a\n"):
+            return _png_size(data)
+        if data.startswith(b"BM"):
+            short = struct.unpack_from("<I", data, 14)[0] == 12
+            width, height = struct.unpack_from("<HH" if short else "<ii", data, 18)
+            return abs(width), abs(height)
+        if data.startswith(b"RIFF") and data[8:12] == b"WEBP":
+            return _webp_size(data)
+        if data.startswith((b"II*\0", b"MM\0*")):
+            return _tiff_size(data, "<" if data.startswith(b"I") else ">")
+    return _jpeg_size(data)
+
+
+def _png_size(data: bytes) -> tuple[int, int] | None:
+    """None where a chunk says that it is longer than there is: a decoder sets aside memory for all of it."""
+    at = 8
+    while data[at : at + 4]:
+        at += 12 + struct.unpack_from(">I", data, at)[0]
+        if at > len(data):
+            return None
+    width, height = struct.unpack_from(">II", data, 16)
+    return width, height
+
+
+def _webp_size(data: bytes) -> tuple[int, int] | None:
+    match data[12:16]:
+        case b"VP8X":
+            return 1 + int.from_bytes(data[24:27], "little"), 1 + int.from_bytes(data[27:30], "little")
+        case b"VP8L":
+            (bits,) = struct.unpack_from("<I", data, 21)
+            return 1 + (bits & 0x3FFF), 1 + (bits >> 14 & 0x3FFF)
+        case b"VP8 ":
+            width, height = struct.unpack_from("<HH", data, 26)
+            return width & 0x3FFF, height & 0x3FFF
+    return None
+
+
+TIFF_SIZES = {256: 0, 322: 0, 257: 1, 323: 1}  # tags of width and height: of the picture, and of a tile
+
+
+def _tiff_size(data: bytes, order: str) -> tuple[int, int]:
+    """Of the first picture; of a tag that comes twice, the larger."""
+    (at,) = struct.unpack_from(order + "I", data, 4)
+    (count,) = struct.unpack_from(order + "H", data, at)
+    size = [0, 0]
+    for entry in range(at + 2, at + 2 + 12 * count, 12):
+        tag, kind = struct.unpack_from(order + "HH", data, entry)
+        if tag in TIFF_SIZES:
+            (value,) = struct.unpack_from(order + ("H" if kind == 3 else "I"), data, entry + 8)
+            size[TIFF_SIZES[tag]] = max(size[TIFF_SIZES[tag]], value)
+    return size[0], size[1]
+
+
+def _jpeg_size(data: bytes) -> tuple[int, int] | None:
     at = 2
     while data.startswith(b"\xff\xd8") and at + 9 <= len(data) and data[at] == 0xFF:
         marker, length = data[at + 1], int.from_bytes(data[at + 2 : at + 4])

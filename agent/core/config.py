@@ -363,6 +363,8 @@ def inside(folder: Path, name: str) -> Path:
     """The path of a file that a file in `folder` names, where somebody else may have written it. Raises ConfigError for
     one that leads out of the folder."""
     path = Path(name)
+    if len(name.encode(errors="replace")) > 240 or not name.isprintable():  # 255 bytes with an ending
+        raise ConfigError(f"{folder}: {name[:60]!r}... is no name of a file; correct it")
     if path.is_absolute() or ".." in path.parts:
         raise ConfigError(f"{folder}: names the file '{name}', which is outside of it; put that file into the folder")
     return folder / path
@@ -526,14 +528,19 @@ def _remedy(what: str, path: list[str], kind: Any) -> str:
 
 def _choices(path: list[str], kind: Any) -> list[str]:
     """The values of the Literal at `path` below the struct `kind`."""
-    there: Any = msgspec.inspect.type_info(kind)
-    for chunk in path:
-        if isinstance(there, msgspec.inspect.StructType):
-            there = next(field.type for field in there.fields if field.encode_name == chunk)
-        elif isinstance(there, msgspec.inspect.DictType):
-            there = there.value_type
-    either = there.types if isinstance(there, msgspec.inspect.UnionType) else (there,)  # a Literal that may be left out
-    return [str(value) for one in either for value in getattr(one, "values", ())]
+    there = [msgspec.inspect.type_info(kind)]
+    for chunk in ".".join(path).replace("[", ".[").split("."):
+        there = [below for one in there for each in getattr(one, "types", (one,)) for below in _below(each, chunk)]
+    return [
+        str(value) for one in there for each in getattr(one, "types", (one,)) for value in getattr(each, "values", ())
+    ]
+
+
+def _below(there: Any, chunk: str) -> list[Any]:
+    """The types of what a key, or an index such as [0], stands for."""
+    fields = [field.type for field in getattr(there, "fields", ()) if field.encode_name == chunk]
+    inner = [getattr(there, name) for name in ("value_type", "item_type") if hasattr(there, name)]
+    return [*fields, *inner, *getattr(there, "item_types", ())]
 
 
 # --- fleet digest ---
@@ -581,8 +588,7 @@ def _target(target: Target) -> dict[str, Any]:
 
 def _landmarks(landmarks: Landmarks) -> dict[str, Any]:
     """One map for all: places that robots computed from different maps do not belong together."""
-    tags = sorted(landmarks.tag, key=lambda tag: tag.id)
-    return {**msgspec.to_builtins(landmarks), "tag": msgspec.to_builtins(tags)}
+    return {**msgspec.to_builtins(landmarks), "tag": msgspec.to_builtins(sorted(landmarks.tag, key=lambda tag: tag.id))}
 
 
 def _plain(value: Any) -> Any:
@@ -591,6 +597,4 @@ def _plain(value: Any) -> Any:
         return {name: _plain(part) for name, part in value.items()}
     if isinstance(value, (list, tuple)):
         return [_plain(part) for part in value]
-    if isinstance(value, bool) or not isinstance(value, int):
-        return value
-    return float(value)
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value

@@ -21,7 +21,7 @@ from agent.capabilities.light.allocate import EMPTY_V
 from agent.clock import machine
 from agent.clock.clock import Clock, wait
 from agent.core import topics
-from agent.core.codec import Refusal, decode, encode
+from agent.core.codec import Refusal, decode, encode, printable
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Answer, Arg, Order, State
 from agent.core.robot_view import in_own_name
@@ -261,11 +261,13 @@ def give(fleet: Fleet, fleet_path: Path, console: str, order: Typed) -> Iterator
 
 
 def line(robot: str, outcome: Outcome) -> str:
-    """What became of it at one robot."""
+    """What became of it at one robot. The words are a stranger's, perhaps, and must not steer a terminal."""
     if outcome.answer is None:
-        return f"{robot}: {outcome.why}"
-    what = f"does: {outcome.answer.order}" if outcome.ok else f"refuses: {outcome.answer.why}"
-    return f"{robot}: {what} ({1e3 * outcome.took_s:.0f} ms)"
+        text = f"{robot}: {outcome.why}"
+    else:
+        what = f"does: {outcome.answer.order}" if outcome.ok else f"refuses: {outcome.answer.why}"
+        text = f"{robot}: {what} ({1e3 * outcome.took_s:.0f} ms)"
+    return printable(text)
 
 
 def verdict(outcomes: Mapping[str, Outcome]) -> str:

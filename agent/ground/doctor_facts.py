@@ -278,7 +278,7 @@ def _shown(replies: Collection[bytes]) -> dict[str, Shown]:
             said: dict[str, Any] = msgspec.json.decode(reply)
             peers = frozenset(str(other["peer"]) for other in said["sessions"])
             texts = {str(key): str(value) for key, value in (said["metadata"] or {}).items()}
-        except (msgspec.DecodeError, KeyError, TypeError, AttributeError):
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError, KeyError, TypeError, AttributeError):
             continue
         found[str(said.get("zid"))] = Shown(texts, peers)
     return found

@@ -121,13 +121,18 @@ def read(folder: Path, name: str) -> Pair:
     return Pair(certificate, key)
 
 
+ODD = (x509.InvalidVersion, x509.DuplicateExtension, x509.UnsupportedGeneralNameType)  # kin of no other error
+
+
 def read_certificate(path: Path) -> x509.Certificate:
     """The certificate in a file. Raises ConfigError, one line that says what to do."""
     content = _content(path)
     try:
-        return x509.load_pem_x509_certificate(content)
-    except ValueError:
+        certificate = x509.load_pem_x509_certificate(content)
+        common_name(certificate), hosts_of(certificate), certificate.public_key()  # read when they are asked for
+    except (ValueError, TypeError, UnsupportedAlgorithm, *ODD):
         raise ConfigError(f"{path}: no certificate in PEM; copy the file again, whole") from None
+    return certificate
 
 
 def common_name(certificate: x509.Certificate) -> str:

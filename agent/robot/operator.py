@@ -15,7 +15,7 @@ from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
 from agent.core.capability import CameraAct, Overrides, Proposal, Situation
-from agent.core.codec import Refusal, decode
+from agent.core.codec import Refusal, decode, printable
 from agent.core.config import Fleet, Follow, Goto, Hold, Orbit, Search, Survey, Trial, Turn
 from agent.core.messages import MAX_ORDER, MAX_WORDS, Answer, Order
 from agent.core.status import Logbook
@@ -336,7 +336,7 @@ class Operator(Revertible):
                 raise Refusal("content", why)
             self._commands.carry_out(what)
         except Refusal as refusal:
-            text = "".join(letter if letter.isprintable() else "?" for letter in str(refusal))  # some are a stranger's
+            text = printable(str(refusal))  # some are a stranger's
             about = f"refuses what {console[:16]} orders{f', {said}' if said else ''}: {text}"
             self._log.note_seldom("warning", f"order {console} {order.verb if order and said else ''}", about, now_ns)
             answer = self._said(ordered, order, said, text, now_ns)

@@ -24,6 +24,7 @@ from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Fr
 
 # --- picture files ---
 
+KINDS = "a PNG, JPEG, BMP, TIFF or WebP"  # whose heads can be read before they are decoded
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 MOST_BYTES = 2**30  # of a picture's file
 MOST_PIXELS = 2**28  # that its head may state: more than any sensor has, and 800 MB of memory
@@ -50,15 +51,16 @@ def read_picture(path: Path, grey: bool = False, stretch: bool = False) -> NDArr
     Raises ConfigError for a file that is not there or cannot be read, and for values that are not finite.
     """
     data = read_file(path, MOST_BYTES, "give a picture")
-    width, height = stated_size(data) or (0, 0)
+    size = stated_size(data)
+    width, height = size or (0, 0)
     if width * height > MOST_PIXELS:  # before memory is taken for it
         raise ConfigError(f"{path}: says that it has {width} x {height} pixels; give a smaller picture")
     raw = None
-    with suppress(cv2.error, MemoryError):  # no data, a head that states more pixels than OpenCV takes
+    with suppress(cv2.error, MemoryError):
         how = (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_ANYDEPTH
-        raw = cv2.imdecode(np.frombuffer(data, np.uint8), how)
+        raw = None if size is None else cv2.imdecode(np.frombuffer(data, np.uint8), how)
     if raw is None:
-        raise ConfigError(f"{path}: not an image that OpenCV can read; replace it or take it away")
+        raise ConfigError(f"{path}: not an image that OpenCV can read; give {KINDS}")
     if raw.dtype == np.uint8:
         return np.asarray(raw, np.uint8)
     if not np.isfinite(raw).all():
@@ -184,7 +186,7 @@ def _photograph(row: dict[str, str | None], directory: Path, where: str) -> Phot
     except ValueError:
         value = math.nan
     if not math.isfinite(value):
-        raise CameraError(f"{where}: focus_position '{focus_position}' is not a number; correct it")
+        raise CameraError(f"{where}: focus_position {focus_position!r} is not a number; correct it")
     try:
         path = inside(directory, name)
     except ConfigError as error:

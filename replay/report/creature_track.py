@@ -11,7 +11,8 @@ import csv
 import math
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -19,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.codec import decode
-from agent.core.config import Fleet
+from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Symmetric, Vector
 from agent.core.status import sigma_m
 from agent.core.step_io import Inputs, Outputs
@@ -117,15 +118,31 @@ def true_path(folder: Path, creature: str) -> Path3 | None:
     file = folder / CREATURES
     if not file.is_file():
         return None
-    with file.open(encoding="utf-8", newline="") as rows:
+    with _reading(file), file.open(encoding="utf-8", newline="") as rows:
         found = [
-            (int(row["t_ns"]), float(row["x_m"]), float(row["y_m"]), float(row["z_m"]))
+            (int(row["t_ns"]), _finite(row["x_m"]), _finite(row["y_m"]), _finite(row["z_m"]))
             for row in csv.DictReader(rows)
             if row["creature"] == creature and row["z_m"]
         ]
-    if not found:
-        return None
-    return Path3(np.array([row[0] for row in found], np.int64), np.array([row[1:] for row in found]))
+        times = np.array([row[0] for row in found], np.int64)
+    return Path3(times, np.array([row[1:] for row in found])) if found else None
+
+
+@contextmanager
+def _reading(file: Path) -> Iterator[None]:
+    """Raises ConfigError for a table that no twin wrote."""
+    try:
+        yield
+    except (ValueError, KeyError, TypeError, OverflowError, csv.Error):
+        raise ConfigError(
+            f"{file}: not as the twin wrote it; repair it, or remove it to do without the truth"
+        ) from None
+
+
+def _finite(text: str) -> float:
+    if not math.isfinite(value := float(text)):
+        raise ValueError("no number")
+    return value
 
 
 def creature_track(folder: Path, boxes: Sequence[BlackBox], target: str) -> CreatureTrack | None:
@@ -149,10 +166,10 @@ def _true_boxes(folder: Path, creature: str) -> dict[tuple[str, int], tuple[True
     file = folder / BOXES
     if not file.is_file():
         return {}
-    with file.open(encoding="utf-8", newline="") as rows:
+    with _reading(file), file.open(encoding="utf-8", newline="") as rows:
         return {
             (row["robot"], int(row["frame"])): (
-                (float(row["x0"]), float(row["y0"]), float(row["x1"]), float(row["y1"])),
+                (_finite(row["x0"]), _finite(row["y0"]), _finite(row["x1"]), _finite(row["y1"])),
                 int(row["visible"]),
             )
             for row in csv.DictReader(rows)

@@ -14,6 +14,7 @@ from collections.abc import Container, Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from agent.capabilities.survey.coverage_map import CoverageMap, grid_of
 from agent.core.capability_messages import Frame, holds
 from agent.core.codec import READABLE, Refusal, decode
-from agent.core.config import ConfigError, Fleet, check_depth, read_text
+from agent.core.config import ConfigError, Fleet, check_depth, convert, read_text
 from agent.core.messages import Answer, Estimate, LogLine, State, Symmetric, Vector
 from agent.core.robot_view import in_own_name
 from agent.core.step_io import Grant, Inputs, Outputs, Sighting, SweepOutcome
@@ -429,6 +430,23 @@ def _joined(heard: Sequence[Link], more: Overheard, known: set[str]) -> list[Lin
     return sorted([*between, *(link for link in more.links if not {link.src, link.dst} <= known)])
 
 
+class _Ended(msgspec.Struct):
+    """Of a target in summary.json."""
+
+    swims: bool = False
+    truth_m: Vector | None = None
+
+
+class _Summary(msgspec.Struct):
+    """What is read of summary.json by name."""
+
+    truth_m: Vector | None = None  # of the first target, in older summaries
+    targets: dict[str, _Ended] | None = None
+    agents: dict[str, dict[str, Any]] = {}
+    verdict: str = ""
+    reasons: list[str] = []
+
+
 def _summary(run: Path) -> dict[str, Any] | None:
     """What the demo found; None for a run without one."""
     path = run / "summary.json"
@@ -440,15 +458,16 @@ def _summary(run: Path) -> dict[str, Any] | None:
         summary: dict[str, Any] = json.loads(text)
     except ValueError:
         raise ConfigError(f"{run}: no usable summary.json; repair it, or remove it to do without the truth") from None
+    convert(summary, _Summary, path)
     return summary
 
 
 def _truths(summary: dict[str, Any] | None, fleet: Fleet) -> dict[str, Vector]:
     if summary is None:
         return {}
-    first: dict[str, dict[str, Any]] = {next(iter(fleet.target)): {"truth_m": summary["truth_m"]}}  # of older summaries
-    resting = {target: about for target, about in summary.get("targets", first).items() if not about.get("swims")}
-    return {target: tuple(about["truth_m"]) for target, about in resting.items()}
+    told = msgspec.convert(summary, _Summary)
+    ended = {next(iter(fleet.target)): _Ended(truth_m=told.truth_m)} if told.targets is None else told.targets
+    return {target: one.truth_m for target, one in ended.items() if not one.swims and one.truth_m is not None}
 
 
 # --- a survey ---

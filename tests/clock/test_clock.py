@@ -14,7 +14,22 @@ import msgspec
 import pytest
 
 from agent.clock import machine
-from agent.clock.clock import Line, Part, RunClock, StandingClock, SystemClock, attach, create, wait
+from agent.clock.clock import (
+    BASE,
+    HEAD,
+    NAME_WORD,
+    RATE,
+    ROWS,
+    SEQUENCE,
+    Line,
+    Part,
+    RunClock,
+    StandingClock,
+    SystemClock,
+    attach,
+    create,
+    wait,
+)
 from agent.clock.keeper import start_clock
 from agent.core.config import Fleet
 from agent.core.ranging.camera_model import CameraFit
@@ -204,9 +219,31 @@ def test_something_else_in_its_place_is_no_clock(tmp_path, clock) -> None:
     assert attach(tmp_path / "clock") is None
 
 
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [(SEQUENCE, 3), (RATE, 0), (RATE, -1), (BASE, 2**63 - 1), (ROWS, 2**60), (ROWS, -1), (HEAD + NAME_WORD, -1)],
+    ids=["half a line", "no rate", "backwards", "too late", "rows that are not there", "fewer than none", "no text"],
+)
+def test_a_damaged_clock_is_none_and_holds_nobody_up(tmp_path, word: int, value: int) -> None:
+    create(tmp_path / "clock", ["r1.loop"], 0, Line(0, 0, 1.0, 0)).close()
+    with (tmp_path / "clock").open("rb+") as file:
+        file.seek(8 * word)
+        file.write(value.to_bytes(8, "little", signed=True))
+    assert attach(tmp_path / "clock") is None
+
+
+def test_a_twin_killed_between_two_halves_of_a_line_leaves_the_last_whole_one(tmp_path) -> None:
+    file = create(tmp_path / "clock", ["r1.loop"], 0, Line(5, 5, 1.0, 5))
+    reader = attach(tmp_path / "clock")
+    assert reader is not None
+    file.words[SEQUENCE] += 1
+    file.words[BASE] = 99
+    assert reader.line().base_ns == 5
+
+
 def test_a_line_is_read_whole_while_it_changes(tmp_path) -> None:
     """Each line that is written has four equal numbers; a torn one would not."""
-    file = create(tmp_path / "clock", ["r1.loop"], 0, Line(0, 0, 0.0, 0, 0.0))
+    file = create(tmp_path / "clock", ["r1.loop"], 0, Line(1, 1, 1e-6, 1, 1e-6))
     reader, done = attach(tmp_path / "clock"), threading.Event()
     assert reader is not None
 

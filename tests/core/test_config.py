@@ -4,6 +4,7 @@ import os
 import time
 import tracemalloc
 from pathlib import Path
+from typing import Literal
 
 import pytest
 from msgspec.structs import replace
@@ -14,10 +15,12 @@ from agent.core.config import (
     ConfigError,
     Fleet,
     Pose,
+    Struct,
     Tank,
     Target,
     Twin,
     common,
+    convert,
     dump,
     inside,
     read_toml,
@@ -399,6 +402,31 @@ def test_a_file_that_leads_out_of_its_folder_is_refused(name: str) -> None:
     with pytest.raises(ConfigError, match="outside of it"):
         inside(Path("runs"), name)
     assert inside(Path("runs"), "a/r1.toml") == Path("runs/a/r1.toml")
+    for none in ("x" * 300, "a\x1b[2J"):
+        with pytest.raises(ConfigError, match=r"runs: '.*'\.\.\. is no name of a file; correct it"):
+            inside(Path("runs"), none)
+
+
+class Inner(Struct, frozen=True, kw_only=True):
+    kind: Literal["a", "b"]
+
+
+class Outer(Struct, frozen=True, kw_only=True):
+    rows: tuple[Inner, ...] = ()
+    pair: tuple[int, Inner | None] | None = None
+
+
+@pytest.mark.parametrize(
+    ("data", "key"),
+    [
+        ({"rows": [{"kind": "a"}, {"kind": "c"}]}, "rows[1].kind"),
+        ({"pair": [1, {"kind": "c"}]}, "pair[1].kind"),
+    ],
+)
+def test_choices_are_named_in_lists_and_tuples_as_well(data: dict, key: str) -> None:
+    with pytest.raises(ConfigError) as told:
+        convert(data, Outer, "f.toml")
+    assert str(told.value) == f"f.toml: key '{key}': 'c' is no choice; write one of a, b"
 
 
 def test_a_file_that_finds_no_room_stays_as_it_was_and_is_named(tmp_path) -> None:

@@ -1,6 +1,7 @@
 """`make fuzz`: hostile bytes into whatever takes bytes from outside, until Ctrl-C or for --seconds.
 
     python -m tests.fuzz [kernel|steps|decoders|wire|firmware|recordings|all] [--count N] [--seed S] [--seconds T]
+    python -m tests.fuzz decoders --only page --only fleet; python -m tests.fuzz --list
 
 Parts take turns. What was broken is told once, made small, and kept in tests/fuzz/cases, which `make test` replays.
 """
@@ -35,13 +36,19 @@ def main(
     seed: Annotated[int | None, typer.Option(help="the same seed gives the same inputs; else any")] = None,
     seconds: Annotated[float, typer.Option(help="0: until Ctrl-C, or until --count")] = 0.0,
     protocol: Annotated[Protocol | None, typer.Option(help="of the kernel; else all three")] = None,
+    only: Annotated[list[str] | None, typer.Option(help="of the decoders: those whose names begin so")] = None,
+    list_: Annotated[bool, typer.Option("--list", help="say which decoders there are, and what each reads")] = False,
     keep: Annotated[bool, typer.Option(help="new faults become cases")] = True,
 ) -> None:
     """Look for inputs that break something. Ends with 1 where one was found."""
+    if list_:
+        for line in parts.told():
+            say(line)
+        return
     seed = SystemRandom().randrange(10**6) if seed is None else seed
     end_s = time.monotonic() + (seconds or FOR_EVER_S)
     say(f"seed {seed}")
-    running = [each(seed, say, keep) for each in parts.chosen(part, protocol)]
+    running = [each(seed, say, keep) for each in parts.chosen(part, protocol, tuple(only or ()))]
     told_s = time.monotonic()
     try:
         while due := [each for each in running if not count or each.done < count]:

@@ -5,17 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache, partial
 from random import Random
-from typing import NamedTuple
 
 import cv2
 import msgpack
-import msgspec
 import numpy as np
 
 from agent.core import messages, step_io, topics, trust
 from agent.core.codec import Refusal, decode, encode
 from agent.core.messages import Estimate, Image, LogLine, Message, Order, State
-from agent.core.verbs import VERBS
 from agent.ground import schemas
 from agent.robot.step import Agent
 from hw.camera import frame_socket
@@ -25,21 +22,15 @@ from hw.camera.v4l2 import decode as picture
 from hw.firmware import wire
 from replay.files.channels import Entry
 from replay.viewers.viewer_channels import ViewerChannels
-from tests.fuzz import mutate
+from tests.fuzz import files, speakers
+from tests.fuzz.decoder import MSGPACK, Decoder
 from tests.fuzz.kernel.swarm import Scene, fleet_of
 from tests.fuzz.values import integer, of_type
 from tests.network.scripted_agent import CALIBRATION
 
 LIMITS = {Image: topics.IMAGE.limit, step_io.Inputs: 10**6, step_io.Outputs: 10**6}  # bytes, where not the usual one
 WILDS = (0.0, 0.01, 0.05, 0.3)
-POOL = 400  # well-formed payloads that are mutated
 WIDTH, HEIGHT = 8, 6  # of a picture
-
-
-class Decoder(NamedTuple):
-    name: str
-    take: Callable[[bytes], object]  # raises what should never be raised, AssertionError too
-    sound: Callable[[Random], bytes]  # what it was made for, or nearly
 
 
 @cache
@@ -50,11 +41,11 @@ def decoders() -> tuple[Decoder, ...]:
     shown = ((topics.STATE, State), (topics.LOG, LogLine), (topics.IMAGE, Image), (topics.LINK, Estimate))
     return (
         *(
-            Decoder(f"codec.{kind.__name__}", partial(_codec, kind), partial(_payload, kind))
+            Decoder(f"codec.{kind.__name__}", partial(_codec, kind), partial(_payload, kind), MSGPACK)
             for kind in sorted(set(kinds), key=str)
         ),
-        Decoder("order", partial(_order, Agent(some, "r1", CALIBRATION, 1)), _ordered),
-        Decoder("shown", _shown, partial(_payload, State)),
+        Decoder("order", partial(_order, Agent(some, "r1", CALIBRATION, 1)), speakers.ordered, MSGPACK),
+        Decoder("shown", _shown, partial(_payload, State), MSGPACK),
         Decoder("request", partial(_socket, frame_socket.parse_request), _request),
         Decoder("reply", partial(_socket, frame_socket.parse_reply), _reply),
         Decoder("frames", _frames, _tether),
@@ -63,28 +54,12 @@ def decoders() -> tuple[Decoder, ...]:
         Decoder("key", _key, _address),
         Decoder("signature", _signature, lambda rng: rng.randbytes(200)),
         *(
-            Decoder(f"viewer.{topic.name}", partial(_viewer, viewers, topic), partial(_payload, kind))
+            Decoder(f"viewer.{topic.name}", partial(_viewer, viewers, topic), partial(_payload, kind), MSGPACK)
             for topic, kind in shown
         ),
+        *files.decoders(),
+        *speakers.decoders(),
     )
-
-
-def bytes_for(one: Decoder, pool: list[bytes], rng: Random) -> bytes:
-    """The next bytes for a decoder: sound, mutated as fields or as bytes, a bomb or noise. `pool`: sound ones."""
-    pick = rng.random()
-    if pick < 0.2 or not pool:
-        made = one.sound(rng)
-        pool.append(made) if len(pool) < POOL else pool.__setitem__(rng.randrange(POOL), made)
-        return made
-    payload = rng.choice(pool)
-    if pick < 0.45 and one.name.startswith(("codec", "viewer", "shown", "order")):
-        try:
-            return bytes(msgpack.packb(mutate.fields(msgpack.unpackb(payload), rng, rng.choice((1, 1, 3)))))
-        except (ValueError, OverflowError, TypeError, msgpack.UnpackException):
-            return payload[: rng.randrange(len(payload) + 1)]
-    if pick < 0.92:
-        return mutate.raw(payload, rng)
-    return mutate.bomb(rng)
 
 
 # --- what they may do -------------------------------------------------------------------------------------------
@@ -109,17 +84,6 @@ def _order(agent: Agent, payload: bytes) -> None:
     assert answer.ok is not bool(answer.why) and (answer.why + answer.order).isprintable(), "no line"
     for line in agent.status.log.fetch(10**9):
         assert line.text.isprintable(), "breaks the line"
-
-
-def _ordered(rng: Random) -> bytes:
-    """An order with about the right arguments."""
-    verb = rng.choice(tuple(VERBS))
-    args = {
-        field.name: rng.choice((integer(rng), rng.uniform(-1.0, 2.0), "ball", "sweeps", True))
-        for field in msgspec.structs.fields(VERBS[verb])
-        if rng.random() < 0.9
-    }
-    return encode(Order(id=rng.randrange(100), verb=verb, args=args, seen=(1, 10**9)))
 
 
 def _shown(payload: bytes) -> None:

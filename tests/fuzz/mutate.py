@@ -102,3 +102,25 @@ def bomb(rng: Random) -> bytes:
             )
         case _:
             return rng.randbytes(rng.choice((0, 1, 16, 300, 16 * 1024, 16 * 1024 + 1)))
+
+
+def text_bomb(rng: Random) -> bytes:
+    """The same of TOML, JSON and YAML: nesting, dotted keys, aliases, numbers without end, and what is no text."""
+    deep = rng.choice((10, 33, 500, DEEP, 16_000))
+    match rng.randrange(8):
+        case 0:
+            return rng.choice((b"", b"a = ", b'{"a": ', b"a: ")) + rng.choice((b"[", b'{"a":', b"{a=", b"- ")) * deep
+        case 1:
+            return b"a." * deep + b"a = 1"
+        case 2:
+            return b"[" + b"a." * deep + b"a]"
+        case 3:
+            return b"a: &a [" + b"1," * 50 + b"]\n" + b"b: [" + b"*a," * min(deep, 500) + b"]\n"
+        case 4:
+            return rng.choice((b"a = ", b'{"a": ', b"a: ")) + rng.choice((b"9" * deep, b"1e" + b"9" * 9, b"-nan"))
+        case 5:
+            return b'"' * deep + rng.randbytes(3)
+        case 6:
+            return rng.choice((b"\xff\xfe", b"\xef\xbb\xbf", b"\0")) * rng.choice((1, 9))
+        case _:
+            return rng.randbytes(rng.choice((0, 1, 16, 300, 16 * 1024)))

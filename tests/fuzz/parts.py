@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import importlib.util
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Literal
 
 from agent.core.config import Protocol
 from tests.fuzz import decoding
+from tests.fuzz.decoders import decoders
 from tests.fuzz.kernel.search import PROTOCOLS, Fuzzer, scenes
 from tests.fuzz.kernel.whole_steps import STAGES, Watched
+from tests.fuzz.readers import FUZZED
 
 Name = Literal["kernel", "steps", "decoders", "wire", "firmware", "recordings", "all"]
 Say = Callable[[str], object]
@@ -120,15 +122,22 @@ class Elsewhere(Part):
             self.done += step
 
 
-def chosen(name: Name, protocol: Protocol | None) -> list[Callable[[int, Say, bool], Part]]:
-    """How to begin each part of a name; those whose file is not there are left out of "all"."""
+def told() -> Iterator[str]:
+    """Each decoder and part that reads bytes, and the functions of the product that it enters."""
+    for name in (*(each.name for each in decoders()), *ELSEWHERE):
+        yield f"{name}: {', '.join(FUZZED[name])}" if name in FUZZED else name
+
+
+def chosen(name: Name, protocol: Protocol | None, only: tuple[str, ...] = ()) -> list[Callable[[int, Say, bool], Part]]:
+    """How to begin each part of a name; those whose file is not there are left out of "all". `only`: beginnings of the
+    names of decoders."""
     found: list[Callable[[int, Say, bool], Part]] = []
     if name in ("kernel", "all"):
         found += [partial(Kernel, each) for each in ([protocol] if protocol else PROTOCOLS)]
     if name in ("steps", "all"):
         found.append(Steps)
     if name in ("decoders", "all"):
-        found.append(partial(Decoders, ()))
+        found.append(partial(Decoders, only))
     if name == "wire":
         found.append(partial(Decoders, SOCKETS))
     for other, module in ELSEWHERE.items():

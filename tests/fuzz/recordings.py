@@ -6,10 +6,10 @@ recording, from which `mutant` makes it again.
 
 from __future__ import annotations
 
+import json
 import random
 import resource
 import shutil
-import signal
 import sys
 import tempfile
 from collections import Counter
@@ -23,6 +23,9 @@ from typer.testing import CliRunner
 
 from agent.__main__ import app
 from agent.core.config import ConfigError
+from agent.ground.page.replayed import Reel, Replayed, came_of
+from agent.ground.page.rows import Board
+from agent.ground.page.server import hello
 from agent.process.command import Failed
 from replay.check.check import check, text, update_recordings
 from replay.check.explain import explain
@@ -35,6 +38,7 @@ from replay.files.recover import auto_recovered, recover_all
 from replay.report.report import report
 from replay.report.timeline import open_run
 from replay.story import info_all
+from tests.fuzz.decoding import within
 from tests.fuzz.recording_bases import bases
 from tests.fuzz.recording_mutants import BYTES, rewritten
 from tests.replay.small_box import flat
@@ -179,6 +183,22 @@ def page(file: Path, harm: Harm) -> str:
     return "written"
 
 
+def on_a_page(file: Path, harm: Harm) -> str:
+    """Laid out, looked at from both ends, and what came of it."""
+    came_of(file)
+    with Reel(file) as reel:
+        board = Board()
+        replayed = Replayed(reel, board)
+        hello(reel.fleet, "recording", file.parent)
+        for at_ns in (reel.times_ns[0], reel.times_ns[-1]):
+            replayed.seek(at_ns)
+            viewer = board.join()
+            for shown in board.next_for(viewer):
+                assert isinstance(shown, bytes) or json.loads(shown)["k"], "no message of a page"
+            board.leave(viewer)
+    return f"shown; {'some' if board.refused else 'none'} refused"
+
+
 def seen_again(file: Path, harm: Harm) -> str:
     found = check_vision([file], lambda fleet, camera: lambda image, roi, then, first: then)
     return f"{[each.passed for each in found]} {[str(each)[:0] for each in found]}"
@@ -222,7 +242,20 @@ def command(file: Path, harm: Harm) -> str:
 
 
 VERBS: tuple[Callable[[Path, Harm], str], ...] = (
-    *(informed, mended, checked, explained, gathered, page, seen_again, updated, in_folder, exported, command),
+    *(
+        informed,
+        mended,
+        checked,
+        explained,
+        gathered,
+        page,
+        on_a_page,
+        seen_again,
+        updated,
+        in_folder,
+        exported,
+        command,
+    ),
 )
 
 
@@ -235,26 +268,6 @@ def originals(label: str) -> frozenset[Any]:
 
 
 # --- bounds -----------------------------------------------------------------------------------------------------
-
-
-@contextmanager
-def within(seconds: int) -> Iterator[None]:
-    """Raise Late in a block that computes for longer, however busy the machine is."""
-
-    def late(*_: object) -> None:
-        raise Late(f"longer than {seconds} s")
-
-    before = signal.signal(signal.SIGPROF, late)
-    signal.setitimer(signal.ITIMER_PROF, seconds)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        signal.signal(signal.SIGPROF, before)
-
-
-class Late(BaseException):
-    """Not to be caught by what is judged."""
 
 
 @contextmanager

@@ -16,7 +16,8 @@ from agent.core.codec import Refusal, decode
 from agent.core.config import Protocol
 from agent.core.messages import Estimate, State
 from tests.fuzz import cases, decoding, mutate, parts
-from tests.fuzz.decoders import Decoder, bytes_for, decoders
+from tests.fuzz.decoder import Decoder, bytes_for
+from tests.fuzz.decoders import decoders
 from tests.fuzz.kernel import episode
 from tests.fuzz.kernel.episode import Plan, play
 from tests.fuzz.kernel.search import Fuzzer, again, scenes
@@ -135,9 +136,11 @@ def test_a_decoder_that_raises_is_found_with_few_bytes(monkeypatch: pytest.Monke
 
 def test_what_is_slow_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     slow = Decoder(
-        "planted", lambda payload: sum(range(10_000_000)) if payload == b"slow" else None, lambda rng: b"slow"
+        "planted",
+        lambda payload: sum(range(10_000_000)) if payload == b"slow" else None,
+        lambda rng: b"slow",
+        slow_s=0.01,
     )
-    monkeypatch.setattr(decoding, "SLOW_S", 0.01)
     monkeypatch.setattr(decoding, "decoders", lambda: (slow,))
     assert "planted: slow" in decoding.run(3, SEED, lambda line: None, keep=False)[0]
 

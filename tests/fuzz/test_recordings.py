@@ -16,7 +16,7 @@ def test_no_verb_of_replay_shows_more_than_a_line() -> None:
 
 def test_each_verb_is_asked_and_most_recordings_are_refused() -> None:
     outcome = fuzz(6, seed=7)
-    assert outcome.verbs == 6 * 9 + 2  # a page and the command line for the first one
+    assert outcome.verbs == 6 * 10 + 2  # a page and the command line for the first one
     assert sum(outcome.verdicts.values()) == outcome.verbs
 
 

@@ -1,9 +1,12 @@
 """What a picture file holds as 8 bits, whatever it was written with; what is no picture is one line."""
 
+import struct
+
 import cv2
 import numpy as np
 import pytest
 
+from agent.core.codec import stated_size
 from agent.core.config import ConfigError
 from hw.camera.files import SUFFIXES, picture_files, read_picture
 
@@ -60,6 +63,46 @@ def test_what_cannot_be_read_is_one_line(tmp_path):
         read_picture(tmp_path / "none.png")
     (tmp_path / "a.png").write_bytes(b"no picture")
     with pytest.raises(ConfigError, match=r"a\.png: not an image that OpenCV can read"):
+        read_picture(tmp_path / "a.png")
+
+
+@pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tif", ".webp"])
+def test_the_size_is_read_in_the_head_of_every_format(suffix: str) -> None:
+    for image in (COLOURS, COLOURS[:, :, 0], np.dstack([COLOURS, COLOURS[:, :, 0]])):
+        written, data = cv2.imencode(suffix, image)
+        assert written and stated_size(data.tobytes()) == (30, 20)
+    lossy = cv2.imencode(".webp", COLOURS, [cv2.IMWRITE_WEBP_QUALITY, 50])[1].tobytes()
+    assert stated_size(lossy) == (30, 20)
+
+
+def large(suffix: str) -> bytes:
+    """A small file whose head says 60000 x 60000."""
+    data = bytearray(cv2.imencode(suffix, COLOURS)[1].tobytes())
+    if suffix == ".bmp":
+        struct.pack_into("<ii", data, 18, 60000, 60000)
+    else:  # the entries 256 and 257 of the directory, of kind 3 or 4
+        (at,) = struct.unpack_from("<I", data, 4)
+        for entry in range(at + 2, len(data) - 12, 12):
+            if struct.unpack_from("<H", data, entry)[0] in (256, 257):
+                struct.pack_into("<HII", data, entry + 2, 4, 1, 60000)
+    return bytes(data)
+
+
+@pytest.mark.parametrize("suffix", [".bmp", ".tif"])
+def test_a_head_that_says_too_much_is_refused_before_memory_is_taken(tmp_path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(large(suffix))
+    with pytest.raises(ConfigError, match="says that it has 60000 x 60000 pixels; give a smaller picture"):
+        read_picture(path)
+
+
+def test_a_chunk_that_says_it_is_longer_than_the_file_is_no_picture(tmp_path) -> None:
+    """A decoder would set aside 4 GB for it."""
+    data = bytearray(cv2.imencode(".png", COLOURS)[1].tobytes())
+    struct.pack_into(">I", data, 33, 0xF8000074)
+    (tmp_path / "a.png").write_bytes(data)
+    assert stated_size(bytes(data)) is None
+    with pytest.raises(ConfigError, match=r"not an image that OpenCV can read; give a PNG, JPEG, BMP, TIFF or WebP"):
         read_picture(tmp_path / "a.png")
 
 

@@ -25,6 +25,7 @@ from agent.ground.page.rows import CAME, KEPT, LINES, SELDOM_NS, Board, Rows, te
 from replay.check.reexecute import recordings
 from replay.files.channels import network_topic
 from replay.files.log import read
+from replay.files.mcap_walk import suspecting
 from replay.report.timeline import open_fleet_file, open_run, surveyed
 
 # --- a recording laid out ---
@@ -248,9 +249,10 @@ def came_of(path: Path) -> str:
     from replay.report.lead import lead  # with what draws and counts: only a recording needs it
 
     try:
-        run = open_run(path)
-        found = lead(run, surveyed(run.fleet, run.boxes))
-    except (ConfigError, Refusal) as error:
+        with suspecting(path):
+            run = open_run(path)
+            found = lead(run, surveyed(run.fleet, run.boxes))
+    except ConfigError as error:
         return text({"k": CAME, "said": [["bad", f"What came of it cannot be told: {error}"]], "looks": [], "ends": []})
     looks = [(look.caption, str(look.svg)) for look in found.looks]
     return text({"k": CAME, "said": found.said, "looks": looks, "ends": found.ends.rows})

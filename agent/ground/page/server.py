@@ -168,7 +168,7 @@ class Site:
     async def _take(self, viewer: Viewer, said: str | bytes) -> None:
         try:
             message = msgspec.json.decode(said)
-        except (msgspec.DecodeError, RecursionError):
+        except (msgspec.DecodeError, UnicodeDecodeError, RecursionError):
             return
         if not isinstance(message, dict):
             return

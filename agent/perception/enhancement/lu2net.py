@@ -17,6 +17,7 @@ import hashlib
 import io
 import math
 import pickle
+import struct
 import zipfile
 import zlib
 from collections.abc import Callable, Iterator
@@ -247,8 +248,8 @@ WRAPPERS = ("state_dict", "model_state_dict", "model", "net", "params")
 
 Array = NDArray[Any]
 BROKEN = (
-    *(pickle.UnpicklingError, zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError, RuntimeError),
-    *(KeyError, IndexError, ValueError, TypeError, AttributeError, OverflowError, MemoryError),
+    *(pickle.UnpicklingError, struct.error, zipfile.BadZipFile, zlib.error, EOFError, OSError, NotImplementedError),
+    *(RuntimeError, KeyError, IndexError, ValueError, TypeError, AttributeError, OverflowError, MemoryError),
 )  # what zip and pickle raise for files that are damaged or made to do damage
 
 

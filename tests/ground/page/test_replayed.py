@@ -215,3 +215,8 @@ def test_a_recording_names_no_calibration_outside_of_its_folder(tmp_path) -> Non
         fleet = msgspec.structs.replace(FLEET, robot={**FLEET.robot, "r1": robot})
         found = hello(fleet, kind, run)["robots"][0]["half_view_deg"]
         assert (found is not None) == seen, (name, kind)
+
+
+def test_a_recording_that_breaks_its_report_is_told_on_the_page(tmp_path, monkeypatch) -> None:
+    monkeypatch.setattr("agent.ground.page.replayed.open_run", lambda path: {}["x"])
+    assert "cannot be told" in json.loads(came_of(tmp_path))["said"][0][1]

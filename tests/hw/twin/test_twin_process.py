@@ -255,9 +255,7 @@ def short_path() -> Iterator[Path]:
 
 
 @pytest.mark.parametrize("of_whom", ["others can write", "another user", "a link"])
-def test_a_folder_among_temporary_files_that_others_made_is_refused(
-    short_path, monkeypatch, fleet_file, of_whom
-) -> None:
+def test_a_temporary_folder_that_others_made_is_refused(short_path, monkeypatch, fleet_file, of_whom) -> None:
     monkeypatch.setattr(tempfile, "tempdir", str(short_path))
     fleet = load_fleet(fleet_file)
     fleet = replace(fleet, twin=replace(fleet.twin, dir=None))
