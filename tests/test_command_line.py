@@ -37,7 +37,7 @@ MISTAKES = [
     (["demo", "--robot", "3"], "No such option: --robot"),
     (["dive"], "No such command 'dive'; see aucamp --help"),
     (["agent", "--robot", "r1"], "Missing argument 'FLEET'"),
-    (["experiment", "detections"], "'detections' is not one of 'demo', 'localization', 'liar', 'tag-fix'"),
+    (["experiment", "detections"], "'detections' is not one of 'demo', 'localization', 'liar', 'doubt'"),
     (["experiment", "peak-shift", "--only", "sea"], "--only sea: choose from air, tap, pool, coastal, turbid"),
     (["experiment", "depth", "--set", "colour=3"], "--set colour=3: write NAME=VALUE, NAME one of repeats, views"),
     (["experiment", "tag-fix", "--set", "places=many"], "experiment tag-fix: Expected `int`, got `str`"),

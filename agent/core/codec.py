@@ -35,7 +35,7 @@ RefusalKind = Literal[
 ]
 
 
-READABLE = frozenset({1, SCHEMA})  # schemas of recordings: what the later one added, older messages lack
+READABLE = frozenset({1, 2, SCHEMA})  # schemas of recordings: what the later one added, older messages lack
 
 
 class Refusal(ValueError):

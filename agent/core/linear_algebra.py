@@ -57,6 +57,11 @@ def difference(a: Vector, b: Vector) -> Vector:
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
+def add(a: Vector, k: float, b: Vector) -> Vector:
+    """a + k b"""
+    return a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]
+
+
 def cross(a: Vector, b: Vector) -> Vector:
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 

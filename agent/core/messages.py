@@ -19,7 +19,7 @@ from typing import Annotated, Any, Literal
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
 
-SCHEMA = 2  # raised whenever the meaning of a field changes; robots refuse others, replay reads older ones too
+SCHEMA = 3  # raised whenever the meaning of a field changes; robots refuse others, replay reads older ones too
 
 MAX_PAYLOAD = 16 * 1024  # bytes of any message but a preview; refused before it is decoded
 MAX_TEXT = 400  # characters of a line of the log
@@ -31,6 +31,7 @@ Id = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
 Count = Annotated[int, Meta(ge=0)]
 Signature = Annotated[bytes, Meta(max_length=64)]
 Level = Literal["info", "warning", "error"]
+Verdict = Literal["consistent", "suspect", "contradicted", "missing"]
 Mode = Literal["running", "degraded", "stopped", "failed"]
 
 NUMBER = "which edition of these schemas; a robot believes its own alone"
@@ -90,6 +91,9 @@ class Entry(msgspec.Struct, frozen=True, array_like=True):
         Symmetric, means("mean over the samples of what does not average out, m^2: xx xy xz yy yz zz")
     ]
     signature: Annotated[Signature, means(SIGNED)] = b""
+    lever_m: Annotated[
+        Vector, means("mean over the samples of the way from the camera to the target, m, world frame")
+    ] = (0.0, 0.0, 0.0)
 
 
 class Sample(msgspec.Struct, frozen=True, array_like=True):
@@ -105,6 +109,7 @@ class Sample(msgspec.Struct, frozen=True, array_like=True):
         Count, means("of the exposure, on the clock of its origin; relays may write the age, but not this")
     ] = 0
     signature: Annotated[Signature, means(SIGNED)] = b""
+    unsure_ns: Annotated[Count, means("by which the age may be wrong: half of the round trips on its way, ns")] = 0
 
 
 class Proposal(msgspec.Struct, frozen=True, array_like=True):
@@ -117,6 +122,10 @@ class Proposal(msgspec.Struct, frozen=True, array_like=True):
     counter: Annotated[int, Meta(ge=1, le=10**9), means("of the epoch that should begin")]
     moving: Annotated[bool, means("whether the target moves in it")]
     signature: Annotated[Signature, means(SIGNED)] = b""
+    step_m: Annotated[
+        Vector | None, means("by which its own samples saw the target move, m, world frame; null: it rests again")
+    ] = None
+    against: Annotated[bool, means("its own samples say that the target did not move by that: no new epoch")] = False
 
 
 class Holding(msgspec.Struct, frozen=True, array_like=True):
@@ -164,6 +173,17 @@ class Estimate(Message, frozen=True, kw_only=True):
     common: Annotated[
         str, Meta(max_length=16), means("digest of what all fleet files have to share; empty: not said")
     ] = ""
+    missed: Annotated[
+        float,
+        Meta(ge=0),
+        means("nats: -log of the probability to see nothing as it did, were the target where it is believed to be"),
+    ] = 0.0
+    echo: Annotated[
+        tuple[Count, Count] | None,
+        means(
+            "newest `sent_ns` heard from the neighbour that it is said to, and ns since that arrived; null: never heard"
+        ),
+    ] = None
 
 
 class Presence(Message, frozen=True, kw_only=True):
@@ -235,6 +255,14 @@ class Explain(Message, frozen=True, kw_only=True):
         float | None, means("normalised innovation squared of the own prior; mean 3 when all is well, 2 of a bearing")
     ] = None
     speed_m_s: Annotated[float | None, means("m/s, of a target that moves")] = None
+    moved_m: Annotated[
+        Vector | UnsetType | None,
+        means("by which the target may have moved, m, world frame, while nobody knows; null: it is settled"),
+    ] = UNSET
+    stretch: Annotated[
+        tuple[float, float] | UnsetType | None,
+        means("by which share all ranges are long, and its sigma, of three robots and more; null: fewer"),
+    ] = UNSET
     sway_m: Annotated[
         dict[str, float],
         means("protocol `evidence`: m, from the posterior to where it would be without this origin"),
@@ -274,6 +302,8 @@ class State(Message, frozen=True, kw_only=True):
     incarnation: Annotated[Count, means("which of its starts this is: Unix time of it, ns")]
     seq: Annotated[Count, means("counts its states about this target")]
     sent_ns: Annotated[Count, means(SENT)]
+    verdict: Annotated[Verdict, means("whether what it believes of the target can be trusted")] = "consistent"
+    causes: Annotated[tuple[str, ...], means("why not, the worst first; empty: consistent")] = ()
     mode: Annotated[
         Mode, means("running; degraded: a step broke of late; stopped: ended as planned; failed: ended by a fault")
     ] = "running"

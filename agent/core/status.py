@@ -77,12 +77,15 @@ class Status(Revertible):
         """The public state at this moment, about one of the targets."""
         telemetry, estimator, update, prior = attitude.newest, target.estimator, target.update, target.measured
         posterior, used = estimator.posterior, update.used if update else ()
+        verdict, causes = target.consistency.verdict(now_ns)
         return State(
             fleet=self._fleet,
             robot=self._robot,
             incarnation=self._incarnation,
             seq=target.last_state.seq + 1 if target.last_state else 1,
             sent_ns=now_ns,
+            verdict=verdict,
+            causes=causes,
             target=target.name,
             knows=target.knows,
             t=estimator.t,

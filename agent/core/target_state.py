@@ -13,15 +13,16 @@ from typing import Literal, NamedTuple
 from agent.core.config import Fleet
 from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import R_FLOOR_M, inside, widest_m2
-from agent.core.estimation.interface import NOTHING, Bearing, EstimateCache, Estimator, Posterior, Prior, Update
-from agent.core.estimation.protocols import dynamics, estimator
-from agent.core.estimation.track import Dynamics, growth, outer
+from agent.core.estimation.interface import NOTHING, Bearing, EstimateCache, Estimator, Prior, Update
+from agent.core.estimation.protocols import estimator
+from agent.core.estimation.track import outer
 from agent.core.linear_algebra import IDENTITY, apply, inner, invert, minus, plus, times, trace
 from agent.core.messages import Estimate, State, Symmetric, Vector
 from agent.core.step_transaction import Revertible
+from agent.core.verdict import Consistency
 
 Knows = Literal["blind", "told", "sees"]
-OLD_NS = 1_000_000_000
+SEEN = 0.9  # of the frames that show the whole target, at a range that the lens reaches, the target is found in
 HELD = 2  # iterations in a row: where the camera is slow, every other sweep comes too late, which is no change
 
 
@@ -49,7 +50,6 @@ class TargetState(Revertible):
         self.ball = fleet.target[target]
         self.cache = EstimateCache(fleet.fleet, robot, target, fleet.robot[robot].neighbours)
         self.estimator: Estimator = estimator(fleet, robot, target, incarnation)
-        self._moves = dynamics(self.ball)
         self._validity_ns = round(fleet.estimation.validity_s * 1e9)
 
         self.prior: Prior | None = None  # measured since the last iteration
@@ -64,11 +64,19 @@ class TargetState(Revertible):
         self._news: Knows = "blind"  # what was last reported of `knows`
         self._seen_ns: int | None = None  # when a robot was last known to measure it
         self.last_state: State | None = None
+        self.consistency = Consistency(robot)
+        self._missed, self._looked_ns = 0.0, 0  # nats, and the exposure of the newest look that counted
 
     def measure(self, prior: Prior) -> None:
         """A sweep gave a position."""
         self.prior = self.measured = prior
         self.measurements += 1
+
+    def looked(self, found: bool, t_ns: int) -> None:
+        """A frame of where the target is believed to be shows it, or does not."""
+        since_s = min(max((t_ns - self._looked_ns) * 1e-9, 0.0), 1.0)  # misses of neighbouring frames are one miss
+        self._missed = 0.0 if found else self._missed - math.log(1.0 - SEEN) * since_s
+        self._looked_ns = t_ns
 
     def observe(self, bearing: Bearing | None) -> None:
         """A bearing for the next iteration."""
@@ -85,9 +93,7 @@ class TargetState(Revertible):
         believed = self.estimator.posterior
         if believed is None or self._seen_ns is None:
             return None
-        old = bool(believed.t_ns) and now_ns - believed.t_ns > OLD_NS  # of a track that ends there
-        cov_m2 = grown(believed, self._moves, now_ns) if old else believed.cov_m2
-        return TargetEstimate(believed.x_m, believed.v_m_s, cov_m2, self._seen_ns)
+        return TargetEstimate(believed.x_m, believed.v_m_s, believed.cov_m2, self._seen_ns)
 
     def show(self, state: State) -> State:
         """Remember the newest state that was shown."""
@@ -101,6 +107,12 @@ class TargetState(Revertible):
             self.update = self.estimator.tick(self.bearing, self.cache, now_ns)
         else:
             self.update = self.estimator.tick(self.prior, self.cache, now_ns)
+        self.consistency.update(self.update.explain, self.prior is None, now_ns)
+        sees = [name for name, _ in self.cache.usable(now_ns, self._validity_ns)]
+        sees += [self._robot] if self.estimator.valid else []
+        self._seen_ns = now_ns if sees else self._seen_ns
+        nats = {self._robot: self._missed, **self.cache.missed(now_ns)}
+        self.consistency.missed(nats, sees, self._seen_ns, now_ns)
         self.prior = self.bearing = None
         knew, self.knows = self.knows, "blind"
         if self.estimator.valid:
@@ -133,17 +145,10 @@ class TargetState(Revertible):
             t=self.estimator.t,
             valid=self.estimator.valid,
             common=self._common,
+            echo=self.cache.echo(neighbour, now_ns),
+            missed=self._missed,
             **word._replace(cov_m2=sayable(word.cov_m2, self._tank_m))._asdict(),
         )
-
-
-def grown(believed: Posterior, moves: Dynamics, now_ns: int) -> Symmetric:
-    """Covariance of its place now, by the belief of an earlier moment; nothing is assumed of its course."""
-    if not believed.t_ns or moves.turn_s == math.inf:
-        return believed.cov_m2
-    by = growth(moves, max(now_ns - believed.t_ns, 0) * 1e-9)
-    speed_m_s = moves.first_speed_m_s
-    return plus(believed.cov_m2, times(by.place_m2 + (by.reach_s * speed_m_s) ** 2, moves.axes))
 
 
 def sayable(covariance_m2: Symmetric | None, tank_m: Vector) -> Symmetric | None:

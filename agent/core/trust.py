@@ -1,4 +1,4 @@
-"""Which messages count, and as whose: message-source authorisation, epochs, and the clocks of other robots.
+"""Which messages count, and as whose: message-source authorisation, epochs, and the newest message of each neighbour.
 
 With keys: evidence and keyframes of a robot count from any sender as long as its signature is right. Verifying costs a
 tenth of a millisecond, so each neighbour has a budget of it; a wrong signature empties the budget of the robot that
@@ -20,7 +20,8 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from agent.core.capability_messages import Frame
 from agent.core.codec import Refusal
-from agent.core.messages import Entry, Epoch, Proposal, Sample
+from agent.core.link_clocks import CLOCKS_NS, INSISTS, LinkClock, Transit, Way
+from agent.core.messages import Entry, Epoch, Proposal, Sample, Vector
 from agent.core.step_transaction import Revertible
 
 # --- signatures ---
@@ -38,9 +39,9 @@ SIGNATURE_BYTES = 64
 def entry_bytes(fleet: str, target: str, epoch: Epoch, entry: Entry) -> bytes:
     """What the origin of an entry signs."""
     when = [epoch.counter, epoch.moving, epoch.proposer]
-    sums = [_floats(entry.information), _floats(entry.vector), _floats(entry.systematic_m2)]
+    sums = [_floats(of) for of in (entry.information, entry.vector, entry.systematic_m2, entry.lever_m)]
     who = [entry.origin, entry.incarnation, entry.count]
-    return bytes(msgpack.packb(["aucamp.entry.1", fleet, target, when, *who, *sums]))
+    return bytes(msgpack.packb(["aucamp.entry.2", fleet, target, when, *who, *sums]))
 
 
 def sample_bytes(fleet: str, target: str, epoch: Epoch, sample: Sample) -> bytes:
@@ -53,8 +54,9 @@ def sample_bytes(fleet: str, target: str, epoch: Epoch, sample: Sample) -> bytes
 
 def proposal_bytes(fleet: str, target: str, proposal: Proposal) -> bytes:
     """What the proposer of an epoch signs."""
-    what = [proposal.proposer, proposal.since_ns, proposal.counter, proposal.moving]
-    return bytes(msgpack.packb(["aucamp.epoch.1", fleet, target, *what]))
+    step_m = None if proposal.step_m is None else _floats(proposal.step_m)
+    what = [proposal.proposer, proposal.since_ns, proposal.counter, proposal.moving, step_m, proposal.against]
+    return bytes(msgpack.packb(["aucamp.epoch.2", fleet, target, *what]))
 
 
 def keyframe_bytes(fleet: str, frame: Frame) -> bytes:
@@ -139,17 +141,22 @@ class Authority(Revertible):
 # --- vote on epochs ---
 # A new epoch needs two robots: one that was knocked, or lies, must not empty the tables of all.
 #
-# A robot whose own samples say that the target started or stopped moving proposes the next epoch. It begins when two
-# have proposed it, or where two neighbours are in it already: one of two is honest. Where fewer than three robots see
-# the target no robot could second, and one proposal is enough, but not more often than every ten seconds. A robot that
-# has just started joins the epoch of those that it hears, as soon as it has had the time to hear them all.
+# A robot whose own samples say that the target started or stopped moving proposes the next epoch, and says by how far
+# the target moved. The others look again, and propose as well or speak against it. The epoch begins when two have
+# proposed it, or where two neighbours are in it already: one of two is honest. Where two speak against it the proposer
+# was knocked. Where no other robot has measured the target since, none could second, and one proposal is enough, but
+# not more often than every ten seconds. A robot that has just started joins the epoch of those that it hears, as soon
+# as it has had the time to hear them all.
 #
 # Epochs at rest have even counters, those in motion odd ones; every robot names the same epoch by the same counter.
 
+SEEN_NS = 20_000_000_000  # a robot that measured this lately sees the target
 ALARM_NS = 20_000_000_000  # a proposal that no robot seconds for so long was a knock
 WITNESSES = 2  # one more than may lie
+ALONE_NS = 3_000_000_000  # so long the others have had the time to look
 LEAST_NS = 10_000_000_000  # an epoch lasts so long before a single proposal ends it
 BESIDE_NS = 3_000_000_000  # how long a neighbour counts as being in the epoch that it spoke of; all speak within it
+QUIET_NS, QUIETEST = 20_000_000_000, 6  # a robot proposes no more for so long after it was refuted, doubled so often
 JUMP = 1000  # epochs that a swarm may be ahead of a robot that has just started
 LAST = 10**8  # no honest swarm gets there
 
@@ -159,80 +166,117 @@ def epoch_of(counter: int) -> Epoch:
     return Epoch(counter, counter % 2 == 1)
 
 
+class Told(NamedTuple):
+    """A proposal, and when this robot first heard it."""
+
+    proposal: Proposal
+    heard_ns: int
+
+
 class EpochVote(Revertible):
     """Which robot proposes which epoch, as one robot knows it."""
 
     def __init__(self, me: str) -> None:
         self._me = me
         self._woke_ns: int | None = None  # since when we listen
-        self._proposals: dict[str, tuple[Proposal, int]] = {}  # of each robot its newest, and when we first heard it
+        self._proposals: dict[str, Told] = {}  # of each robot its newest
         self._witnesses: tuple[Proposal, ...] = ()  # for the epoch that we are in
         self._beside: dict[str, tuple[int, int]] = {}  # neighbour -> counter of its epoch, and when it said so
         self._began_ns: int | None = None  # the epoch that we are in; none: we just started, and met no robot in it
+        self._refuted, self._quiet_until_ns = 0, 0  # own proposals in a row, and until when we make no other
+
+    @property
+    def witnesses(self) -> tuple[Proposal, ...]:
+        """Those that began our epoch."""
+        return self._witnesses
 
     def is_news(self, proposal: Proposal, epoch: Epoch) -> bool:
         """Whether a proposal could matter and was not heard before."""
         if proposal.moving != epoch_of(proposal.counter).moving or not epoch.counter < proposal.counter <= LAST:
             return False
         old = self._proposals.get(proposal.proposer)
-        return old is None or (proposal.counter, proposal.since_ns) > (old[0].counter, old[0].since_ns)
+        new = proposal.counter, proposal.since_ns
+        return old is None or new > (old.proposal.counter, old.proposal.since_ns)
 
     def hear(self, proposal: Proposal, now_ns: int) -> None:
         """Take note of a proposal that is news and is believed."""
-        self._proposals[proposal.proposer] = (proposal, now_ns)
+        self._proposals[proposal.proposer] = Told(proposal, now_ns)
 
     def neighbour(self, src: str, epoch: Epoch, now_ns: int) -> None:
         """Take note of the epoch that a neighbour is in."""
         self._beside[src] = (epoch.counter, now_ns)
 
-    def propose(self, epoch: Epoch, now_ns: int) -> None:
-        """Our own samples say that this epoch is over."""
-        if not self._mine(epoch.counter + 1):
-            self._proposals[self._me] = (Proposal(self._me, now_ns, epoch.counter + 1, not epoch.moving), now_ns)
+    def propose(self, epoch: Epoch, now_ns: int, step_m: Vector | None = None, against: bool = False) -> None:
+        """Our own samples say that this epoch is over; or, against another robot's word, that it is not."""
+        mine = self._mine(epoch.counter + 1)
+        repeats = mine is not None and mine.proposal.against == against
+        if not repeats and (against or now_ns >= self._quiet_until_ns):
+            said = Proposal(self._me, now_ns, epoch.counter + 1, not epoch.moving, step_m=step_m, against=against)
+            self._proposals[self._me] = Told(said, now_ns)
+
+    def pending(self, epoch: Epoch, now_ns: int) -> Told | None:
+        """The first word that the target moved which is neither seconded nor refuted yet."""
+        told = [each for each in self._fresh(now_ns) if each.proposal.counter == epoch.counter + 1]
+        if sum(each.proposal.against for each in told) >= WITNESSES:
+            return None
+        words = [each for each in told if each.proposal.step_m is not None and not each.proposal.against]
+        return min(words, key=lambda each: each.heard_ns, default=None)
 
     def unseconded(self, epoch: Epoch, now_ns: int) -> bool:
-        """Whether no robot seconded a proposal of ours; the proposal is taken back with this answer."""
+        """Whether no robot seconded a proposal of ours, or two refuted it; it is taken back with this answer."""
         mine = self._mine(epoch.counter + 1)
-        if mine is None or now_ns - mine[1] <= ALARM_NS:
+        if mine is None or mine.proposal.against:
+            return False
+        against = [
+            each for each in self._fresh(now_ns) if each.proposal.against and each.proposal.counter > epoch.counter
+        ]
+        if now_ns - mine.heard_ns <= ALARM_NS and len(against) < WITNESSES:
             return False
         del self._proposals[self._me]
+        self._quiet_until_ns = now_ns + (QUIET_NS << self._refuted)
+        self._refuted = min(self._refuted + 1, QUIETEST)
         return True
 
-    def next(self, epoch: Epoch, seeing: int, now_ns: int) -> Epoch | None:
-        """The epoch to begin now; None: the present one goes on. seeing: robots known to see the target."""
+    def next(self, epoch: Epoch, measured_ns: Mapping[str, int], now_ns: int) -> Epoch | None:
+        """The epoch to begin now; None: the present one goes on. measured_ns: when each robot last saw the target."""
         self._woke_ns = now_ns if self._woke_ns is None else self._woke_ns
-        fresh = [p for p, heard_ns in self._proposals.values() if now_ns - heard_ns <= ALARM_NS]
+        fresh = [each for each in self._fresh(now_ns) if not each.proposal.against]
         beside = [counter for counter, at_ns in self._beside.values() if now_ns - at_ns <= BESIDE_NS]
         if self._began_ns is None and epoch.counter in beside:
             self._began_ns = now_ns
         joins = self._began_ns is None and now_ns - self._woke_ns >= BESIDE_NS
-        for counter in sorted({p.counter for p in fresh} | set(beside), reverse=True):
+        for counter in sorted({each.proposal.counter for each in fresh} | set(beside), reverse=True):
             if counter <= epoch.counter or counter > LAST:
                 continue
-            proposals = sum(p.counter == counter for p in fresh)
+            proposals = [each for each in fresh if each.proposal.counter == counter]
             there = sum(c >= counter for c in beside)
-            if proposals >= WITNESSES or there >= WITNESSES:
+            if len(proposals) >= WITNESSES or there >= WITNESSES:
                 return epoch_of(counter)
             if joins and 0 < there == len(beside) and counter <= JUMP:
                 return epoch_of(counter)
-            if proposals and 0 < seeing <= WITNESSES and self._may_end_alone(epoch, counter, now_ns):
+            alone = bool(proposals) and _alone(proposals[0], measured_ns, now_ns)
+            if alone and self._may_end_alone(epoch, counter, now_ns):
                 return epoch_of(counter)
         return None
 
     def begin(self, epoch: Epoch, now_ns: int) -> None:
         """We are in this epoch from now on."""
-        self._witnesses = tuple(p for p, _ in self._proposals.values() if p.counter == epoch.counter)[:WITNESSES]
-        self._proposals = {n: held for n, held in self._proposals.items() if held[0].counter > epoch.counter}
-        self._began_ns = now_ns
+        told = [each.proposal for each in self._proposals.values() if not each.proposal.against]
+        self._witnesses = tuple(each for each in told if each.counter == epoch.counter)[:WITNESSES]
+        self._proposals = {n: each for n, each in self._proposals.items() if each.proposal.counter > epoch.counter}
+        self._began_ns, self._refuted = now_ns, 0
 
     def shown(self, now_ns: int) -> tuple[Proposal, ...]:
         """What to tell a neighbour: the proposals that began our epoch, and fresh ones for another."""
-        fresh = (p for _, (p, heard_ns) in sorted(self._proposals.items()) if now_ns - heard_ns <= ALARM_NS)
-        return (*self._witnesses, *fresh)
+        return (*self._witnesses, *(each.proposal for each in self._fresh(now_ns)))
 
-    def _mine(self, counter: int) -> tuple[Proposal, int] | None:
-        held = self._proposals.get(self._me)
-        return held if held is not None and held[0].counter == counter else None
+    def _fresh(self, now_ns: int) -> list[Told]:
+        """In the order of the robots' names."""
+        return [each for _, each in sorted(self._proposals.items()) if now_ns - each.heard_ns <= ALARM_NS]
+
+    def _mine(self, counter: int) -> Told | None:
+        told = self._proposals.get(self._me)
+        return told if told is not None and told.proposal.counter == counter else None
 
     def _may_end_alone(self, epoch: Epoch, counter: int, now_ns: int) -> bool:
         """Whether one proposal is enough now: the proposals of a single robot lead on by one epoch in ten seconds."""
@@ -242,59 +286,13 @@ class EpochVote(Revertible):
         return elapsed_ns >= LEAST_NS and counter <= epoch.counter + 1 + elapsed_ns // LEAST_NS
 
 
-# --- time in transit ---
-# How long messages of one neighbour are on their way, beyond the quickest of them: clocks that differ cancel.
-
-CLOCKS_NS = 3 * 3600 * 10**9  # by which the clocks of two robots may differ: nothing sets them to a common time
-WINDOW_NS = 60_000_000_000  # over which the quickest message is remembered
-BIN_NS = 1_000_000_000  # resolution of that memory: 60 numbers a neighbour
-STEP_NS = 200_000_000  # a message that was quicker by more than this tells of another clock, or lies
-LOST_NS = 60_000_000_000  # so does one that was slower by more than this: links give up long before
-INSISTS = 3  # such messages in a row, after which it is another clock
-STEADY_NS = 50_000_000  # queues do not hold all messages up alike: where all are late by the same, to within this, ...
-STEADY_FOR_NS = 3_000_000_000  # ... for so long, the clock of the sender was wrong before
-
-
-class Late(NamedTuple):
-    """Messages in a row that were late, since the first of them."""
-
-    since_ns: int
-    least_ns: int  # transit
-    most_ns: int
-
-
-class Transit(Revertible):
-    """The quickest messages of one neighbour since its start."""
-
-    def __init__(self) -> None:
-        self._bins: dict[int, int] = {}  # the quickest of each second
-        self._stepped = 0  # messages in a row that were too quick, or too slow to be true
-        self._late: Late | None = None
-
-    def late_ns(self, transit_ns: int, arrived_ns: int) -> int:
-        """How long a message was queued; transit_ns: its arrival on our clock less its stamp on the sender's."""
-        late_ns = transit_ns - min(self._bins.values(), default=transit_ns)
-        self._stepped = self._stepped + 1 if not -STEP_NS <= late_ns <= LOST_NS else 0
-        if 0 < self._stepped < INSISTS:
-            return max(0, late_ns)
-        if self._stepped or (late_ns > STEP_NS and self._steady(transit_ns, arrived_ns)):
-            self._bins, self._stepped = {}, 0
-        if late_ns <= STEP_NS:
-            self._late = None
-        now_bin = arrived_ns // BIN_NS
-        self._bins[now_bin] = min(transit_ns, self._bins.get(now_bin, transit_ns))
-        for old in [b for b in self._bins if b < now_bin - WINDOW_NS // BIN_NS]:
-            del self._bins[old]
-        return transit_ns - min(self._bins.values())
-
-    def _steady(self, transit_ns: int, arrived_ns: int) -> bool:
-        """Whether all messages have long been late by the same."""
-        since_ns, least_ns, most_ns = self._late or Late(arrived_ns, transit_ns, transit_ns)
-        least_ns, most_ns = min(least_ns, transit_ns), max(most_ns, transit_ns)
-        if most_ns - least_ns > STEADY_NS:
-            since_ns, least_ns, most_ns = arrived_ns, transit_ns, transit_ns
-        self._late = Late(since_ns, least_ns, most_ns)
-        return arrived_ns - since_ns >= STEADY_FOR_NS
+def _alone(told: Told, measured_ns: Mapping[str, int], now_ns: int) -> bool:
+    """Whether no robot can second a proposal: fewer than three see the target, or, of one that moved, no other robot
+    has measured it since it was told."""
+    if told.proposal.step_m is None:
+        return 0 < sum(now_ns - at_ns <= SEEN_NS for at_ns in measured_ns.values()) <= WITNESSES
+    others = (at_ns for name, at_ns in measured_ns.items() if name != told.proposal.proposer)
+    return now_ns - told.heard_ns >= ALONE_NS and all(at_ns <= told.heard_ns for at_ns in others)
 
 
 # --- latest-message cache ---
@@ -338,6 +336,7 @@ class CachedMessage(NamedTuple, Generic[M]):
     message: M
     arrived_ns: int
     late_ns: int  # queued on the way, beyond the quickest message of the last minute
+    way: Way | None = None  # how long it took in all; None: no stamp of ours was echoed yet
 
 
 class Sender(NamedTuple, Generic[M]):
@@ -358,6 +357,7 @@ class MessageCache(Revertible, Generic[M]):
         self._fleet, self._me = fleet, me
         self.senders: dict[str, Sender[M]] = {name: Sender() for name in sorted(neighbours)}
         self._transit: dict[str, Transit] = {name: Transit() for name in self.senders}
+        self._clocks: dict[str, LinkClock] = {name: LinkClock() for name in self.senders}
 
     def put(self, src: str, message: M, arrived_ns: int) -> CachedMessage[M]:
         """Keep a decoded message that came on the key of `src`. Raises Refusal when it does not belong there."""
@@ -370,10 +370,17 @@ class MessageCache(Revertible, Generic[M]):
         if message.incarnation > arrived_ns + CLOCKS_NS:
             raise Refusal("clock", "its clock is more than three hours ahead of ours; set the clocks")
         sender = self._numbered(src, message, arrived_ns)
-        late_ns = self._transit[src].late_ns(arrived_ns - message.sent_ns, arrived_ns)
-        letter = CachedMessage(message, arrived_ns, late_ns)
+        transit_ns = arrived_ns - message.sent_ns
+        late_ns, clock = self._transit[src].late_ns(transit_ns, arrived_ns), self._clocks[src]
+        clock.hear(self._echo_of(message), transit_ns, arrived_ns)
+        letter = CachedMessage(message, arrived_ns, late_ns, self._way(message, clock.way(transit_ns), late_ns))
         self.senders[src] = sender._replace(heard=sender.heard + 1, newest=letter, fallen=(0, 0))
         return letter
+
+    def echo(self, src: str, now_ns: int) -> tuple[int, int] | None:
+        """For a message to this neighbour: its newest stamp that was heard, and how long ago; None: it never spoke."""
+        letter = self.senders[src].newest
+        return None if letter is None else (letter.message.sent_ns, max(0, now_ns - letter.arrived_ns))
 
     def age_ns(self, src: str, now_ns: int) -> int | None:
         """How old the newest message of a neighbour is; None where none came."""
@@ -384,6 +391,14 @@ class MessageCache(Revertible, Generic[M]):
         """Names that two robots use at once."""
         times = {name: sender.doubled_ns for name, sender in self.senders.items()}
         return tuple(name for name, at_ns in times.items() if at_ns is not None and now_ns - at_ns <= TWIN_NS)
+
+    def _echo_of(self, message: M) -> tuple[int, int] | None:
+        """What a message echoes, of the kinds that do."""
+        return None
+
+    def _way(self, message: M, known: Way | None, late_ns: int) -> Way | None:
+        """How long a message took; known: by the clock of the link."""
+        return known
 
     def _addressed(self, message: M) -> bool:
         """Whether it is meant for us."""
@@ -396,7 +411,7 @@ class MessageCache(Revertible, Generic[M]):
             up_s = max(0, message.sent_ns - message.incarnation) // 10**9
             if message.seq > SAID_HZ * (up_s + AHEAD_S):
                 raise Refusal("order", "its first number is beyond what it can have said since it started")
-            self._transit[src] = Transit()
+            self._transit[src], self._clocks[src] = Transit(), LinkClock()
             return _restarted(sender, message.incarnation, arrived_ns)
         newest = sender.newest
         gap = message.seq - newest.message.seq - 1
@@ -420,42 +435,3 @@ def _restarted(sender: Sender[M], incarnation: int, now_ns: int) -> Sender[M]:
         before=None if newest is None else (newest.message.incarnation, newest.arrived_ns),
         doubled_ns=now_ns if returned else sender.doubled_ns,
     )
-
-
-# --- clocks of origins ---
-# When a sample was taken, on our clock: what its origin's clock said then, plus how far that clock is from ours.
-#
-# Each copy of a sample tells an offset of its own: its time of arrival less its age less its origin's stamp. Delays
-# that are unaccounted for make it too large, a relay that lies may make it anything. So the first copy that comes from
-# the origin itself decides, else the first relay; from then on the offset moves no faster than clocks drift.
-
-DRIFT = 1e-3  # the offset falls no faster than this, as shorter delays are found; no quartz is as bad
-RISE = 1e-4  # it rises so fast where all delays seem to have become longer: the worst drift of two quartzes
-
-
-class Offset(NamedTuple):
-    """Our clock minus the origin's."""
-
-    offset_ns: int
-    at_ns: int
-    direct: bool  # by a message of the origin itself
-
-
-class OriginClocks(Revertible):
-    """What one robot knows of the clocks of all origins."""
-
-    def __init__(self) -> None:
-        self._offsets: dict[str, Offset] = {}
-
-    def offset_ns(self, origin: str, said_ns: int, direct: bool, now_ns: int) -> int:
-        """The offset to count with, after a copy that says `said_ns` came."""
-        old = self._offsets.get(origin)
-        if old is None or (direct and not old.direct):
-            new = Offset(said_ns, now_ns, direct)
-        else:
-            elapsed_ns = max(0, now_ns - old.at_ns)
-            highest = old.offset_ns + round(RISE * elapsed_ns)
-            lowest = old.offset_ns - round(DRIFT * elapsed_ns)
-            new = Offset(max(lowest, min(highest, said_ns)), now_ns, old.direct)
-        self._offsets[origin] = new
-        return new.offset_ns

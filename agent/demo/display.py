@@ -13,6 +13,7 @@ from typing import Any
 from msgspec import UNSET
 from rich.box import SIMPLE_HEAD
 from rich.table import Table
+from rich.text import Text
 
 from agent.capabilities.survey.coverage_map import place_m, rotation
 from agent.core.capability_messages import Claim, View, holds
@@ -20,13 +21,16 @@ from agent.core.config import Fleet
 from agent.core.messages import LampState, State
 from agent.core.robot_view import robot_view
 from agent.core.topics import EVERY_FLEET
-from agent.demo.summary import EACH_SEES, ONE_SEES, PASS_PERCENT, SIGMAS, Histories, SurveyWatch
+from agent.core.verdict import ORDER
+from agent.demo.summary import EACH_SEES, ONE_SEES, PASS_PERCENT, SIGMAS, Histories, SurveyWatch, doubts
 from agent.process.certificates import CONSOLE_FILE
 from agent.process.keys import VARIABLE
 from replay.report.creature_track import followed_cells
 from replay.report.page import cell, percent
 
-FAULT_WIDTH = len("telemetry,")  # of the longest word in a fault: narrower, and the reason is cut off
+WRONG = "trust, faults"  # heads the column of what is wrong
+COLOURS = {"consistent": "green", "suspect": "yellow", "contradicted": "red", "missing": "red"}
+MOST_CAUSES = 3  # below the table
 
 
 def how_to_look(fleet: Fleet, path: Path, keys: Path | None = None) -> list[str]:
@@ -75,21 +79,23 @@ def progress_table(histories: Histories, title: str) -> Table:
         title=title,
         title_justify="left",
         box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
+        padding=0,
         show_edge=False,
     )
     lights = any(h.newest is not None and h.newest.lamp for of in histories.values() for h in of.values())
     also = ("light",) if lights else ()
-    for column in ("target", "robot", "", "iter.", "saw at", "estimate mm", "± mm", "hears", *also, "faults"):
-        least = FAULT_WIDTH if column == "faults" else len(column)
-        table.add_column(column, no_wrap=column not in ("hears", "faults"), min_width=least)
+    for column in ("target", "robot", "", "iter.", "saw at", "estimate mm", "± mm", "hears", *also, WRONG):
+        table.add_column(column, no_wrap=column not in ("hears", WRONG), min_width=len(column))
+    causes = []
     for target, of_target in histories.items():
         for name, history in of_target.items():
             table.add_row(target, name, *progress_row(history.newest))
+            causes += [f"{target}, {name}: {cause}" for cause in (history.newest.causes if history.newest else ())]
+    table.caption, table.caption_justify = Text("\n".join(causes[:MOST_CAUSES])) if causes else None, "left"
     return table
 
 
-def progress_row(state: State | None) -> tuple[str, ...]:
+def progress_row(state: State | None) -> tuple[str | Text, ...]:
     """The cells behind target and robot."""
     if state is None:
         return ("…",)
@@ -102,8 +108,20 @@ def progress_row(state: State | None) -> tuple[str, ...]:
         f"{1e3 * state.posterior_sigma_m:.1f}" if state.posterior_sigma_m else "-",
         " ".join(view.hears) or "-",
         *((whose_light(state.robot, state.lamp),) if state.lamp else ()),
-        ", ".join(view.remarks),
+        wrong(state),
     )
+
+
+def wrong(state: State) -> Text:
+    """Whether what it believes of this target can be trusted, in colour, and what is wrong beside that."""
+    remarks = [remark for remark in robot_view(state).remarks if remark not in ORDER]
+    told = [] if state.posterior_m is None and not state.causes else [trust(state.verdict)]
+    return Text(", ").join([*told, *map(Text, remarks)])
+
+
+def trust(verdict: str | None) -> Text:
+    """The word in its colour; a dash for nothing said."""
+    return Text("-") if verdict is None else Text(verdict, COLOURS[verdict])
 
 
 def whose_light(robot: str, lamp: LampState) -> str:
@@ -133,26 +151,27 @@ def result_table(summary: dict[str, Any], target: str) -> Table:
         caption=BALL_SAYS if is_ball else BOX_SAYS,
         caption_justify="left",
         box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
+        padding=0,
+        show_edge=False,
     )
     own = ("rms mm", "error mm", "in all", "%") if is_ball else ("estimate mm", "outside mm", "allowed mm")
-    for column in ("robot", "saw at", "iterations", *own):
+    for column in ("robot", "saw at", "iter.", *own, "trust"):
         table.add_column(column, justify="right", no_wrap=True)
     for name, row in about["agents"].items():
         acquired = row["acquired_iteration"]
-        cells: tuple[str, ...] = name, "never" if acquired is None else str(acquired), str(row["iterations"])
+        cells: tuple[str | Text, ...] = name, "never" if acquired is None else str(acquired), str(row["iterations"])
         error = " ".join(f"{v:+.1f}" for v in row["error_axis_mm"] or [])
         if is_ball:
             rms = " ".join(f"{v:.1f}" for v in row["prior_rmse_axis_mm"] or [])
             cells += (rms, error, cell(row["error_mm"], ".2f"), cell(row["relative_error_percent"], ".2f"))
         else:
             cells += (error, cell(row["outside_mm"], ".1f"), cell(row["allowed_mm"], ".1f"))
-        table.add_row(*cells)
+        table.add_row(*cells, trust(row.get("verdict")))
     return table
 
 
-TRACK_SAYS = """saw: share of the time in which its newest frame shows it. off: of its track, rms and 95 %.
-NEES: 3 where errors are as large as it states."""
+TRACK_SAYS = """knew, longest: in s. saw: share of the time in which its newest frame shows it.
+off: of its track, rms and 95 %. NEES: 3 where errors are as large as it states."""
 
 
 def track_table(summary: dict[str, Any], target: str) -> Table:
@@ -167,12 +186,13 @@ def track_table(summary: dict[str, Any], target: str) -> Table:
         caption=f"{TRACK_SAYS}\n{missed(about['bars'])}" if about["bars"] else TRACK_SAYS,
         caption_justify="left",
         box=SIMPLE_HEAD,
-        padding=(0, 1, 0, 0),
+        padding=0,
+        show_edge=False,
     )
-    for column in ("robot", "knew at s", "saw", "lost", "longest s", "mistook", "off mm", "95 %", "NEES"):
+    for column in ("robot", "knew", "saw", "lost", "longest", "mistook", "off mm", "95 %", "NEES", "trust"):
         table.add_column(column, justify="right", no_wrap=True)
     for name, row in about["agents"].items():
-        table.add_row(name, cell(row["known_s"], ".1f"), *followed_cells(row))
+        table.add_row(name, cell(row["known_s"], ".1f"), *followed_cells(row), trust(row.get("verdict")))
     return table
 
 
@@ -198,7 +218,12 @@ FOLLOWED = (
 
 
 def verdict(summary: dict[str, Any]) -> str:
-    """Whether all estimates are good enough, and for what that counts; of a survey, what is known, and by whom."""
+    """Whether all estimates are good enough, and for what that counts; of a survey, what is known, and by whom. Then
+    who ended with a belief that cannot be trusted, and why."""
+    return "; ".join([_judged(summary), *doubts(summary)])
+
+
+def _judged(summary: dict[str, Any]) -> str:
     if "coverage" in summary:
         share = percent(summary["coverage"]["wanted_share"])
         known = f"every robot knows {share} of what is wanted at least, and all maps are the same"

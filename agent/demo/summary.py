@@ -307,6 +307,7 @@ def _times_lost(sees: np.ndarray) -> int:
 
 # --- targets at rest ---
 
+NOBODY: dict[str, Any] = {"verdict": None, "causes": []}  # of a robot that showed nothing
 PASS_PERCENT = 0.4  # the paper's final relative error (section 6)
 SIGMAS = 3.0  # how many of its own standard deviations an estimate may lie outside of a thing in a box
 
@@ -322,7 +323,8 @@ def summarize(
     """The content of summary.json, schema 1. `truth`: as the twin wrote it; `followed`: following.scored of each target
     that swims.
 
-    `targets` has every target; `truth_m` and `agents` are those of the first. survey: of a fleet with [coverage], whose
+    `targets` has every target; `truth_m` and `agents` are those of the first. Of each robot `verdict` and `causes` are
+    what it said last of its own belief; they decide nothing here. survey: of a fleet with [coverage], whose
     verdict is over what it surveyed, for its cameras are at that and not at targets.
     """
     targets: dict[str, Any] = {}
@@ -340,6 +342,10 @@ def summarize(
         why += [f"{target}: {reason}" if len(histories) > 1 else reason for reason in reasons(rows)]
     if survey is not None:
         why = list(survey.reasons())
+    for target, about in targets.items():
+        for name, row in about["agents"].items():
+            newest = histories[target][name].newest if name in histories[target] else None
+            row |= {"verdict": newest.verdict, "causes": list(newest.causes)} if newest else NOBODY
     first, depth_m = next(iter(targets)), next(iter(fleet.robot.values())).depth_m
     return {
         "schema": 1,
@@ -355,6 +361,17 @@ def summarize(
         "verdict": "fail" if why else "pass",
         "reasons": why,
     }
+
+
+def doubts(summary: Mapping[str, Any]) -> list[str]:
+    """Who ended with a belief that is not consistent, and why: a sentence for each robot and target."""
+    several = len(summary["targets"]) > 1
+    return [
+        f"{name} ended {row['verdict']}{f' about {target}' * several}: {row['causes'][0]}"
+        for target, about in summary["targets"].items()
+        for name, row in about.get("agents", {}).items()
+        if row.get("causes")
+    ]
 
 
 def is_box(fleet: Fleet, target: str) -> bool:

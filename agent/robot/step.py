@@ -110,6 +110,8 @@ class Agent(Revertible):
         situation = replace(self._situation, now_ns=now_ns, level=level, camera=camera, orders=orders)
         situation = self.equipment.update(inputs, situation)
         self.target_search.view_sweep(situation.view_sweep)
+        if situation.light.from_ns is not None:
+            self.measuring.look(inputs.sightings, situation.pose, situation.own)
         self.status.devices(inputs, self._faults(now_ns), self.attitude, now_ns)
         return situation
 
@@ -129,7 +131,8 @@ class Agent(Revertible):
     def _faults(self, now_ns: int) -> tuple[str, ...]:
         """What is wrong by the kernel's own account."""
         ours = self.transaction.fault(now_ns)
-        return (*self.inbox.faults(now_ns), *self.equipment.faults(now_ns), *(() if ours is None else (ours,)))
+        found = *self.inbox.faults(now_ns), *self.measuring.faults(now_ns), *self.equipment.faults(now_ns)
+        return (*found, *(() if ours is None else (ours,)))
 
     def _set_point(self, body: BodyAct, lamp: LampAct | None, situation: Situation) -> SetPoint:
         centre_us = round(self._fleet.body.servo_centre_us)

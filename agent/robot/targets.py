@@ -5,6 +5,7 @@ It proposes for the camera as capabilities do, on the last row of the table: wha
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection, Iterable, Mapping
 
 from msgspec import UNSET, UnsetType
@@ -24,16 +25,16 @@ from agent.core.capability import (
     Spoiled,
     TargetView,
 )
-from agent.core.config import common
+from agent.core.config import Pose, common
 from agent.core.estimation.evidence_table import inside
 from agent.core.estimation.interface import Prior
 from agent.core.estimation.protocols import iteration_ns
 from agent.core.messages import Estimate, Level, Mode, State
 from agent.core.ranging.camera_model import Eye
-from agent.core.ranging.fix import EXACT, Fix, NoRange, OwnPose, locate
+from agent.core.ranging.fix import EXACT, Fix, NoRange, OwnPose, cue_ratio, locate, shows_whole
 from agent.core.ranging.sweep import Measurement, Rejected
 from agent.core.status import Status, sweep_outcome
-from agent.core.step_io import SweepOutcome
+from agent.core.step_io import Sighting, SweepOutcome
 from agent.core.step_transaction import Revertible, StepTransaction
 from agent.core.target_state import TargetState
 from agent.core.topics import next_due_ns
@@ -99,10 +100,11 @@ class Targets(Revertible):
             return self._light.marked(sweep_outcome(self.watched, result))
         known = self._source.at_sample(result.t_ns, now_ns)
         fix = self._fix(result, known)
+        self._compare(result, isinstance(fix, NoRange) and fix.contradicts, now_ns)
         if isinstance(fix, NoRange):
             self._note("warning", f"sweep rejected: {fix.reason}", now_ns)
         else:
-            prior = Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2)
+            prior = Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2, fix.lever_m)
             if known is None or not self._kept(result, known, prior, now_ns):
                 self.current.measure(prior)
         return self._light.marked(sweep_outcome(self.watched, result, fix))
@@ -141,6 +143,32 @@ class Targets(Revertible):
         outline, sigma, cues = self._light.corrected(peak, eye, ball, self._fleet.ranging.cues)
         return locate(self._calibration, eye, outline, peak.lens_position, sigma, ball, cues, own)
 
+    def _compare(self, peak: Measurement, refused: bool, now_ns: int) -> None:
+        """Take note of what the sweep says of focus and size, where both speak."""
+        level = self._attitude.at(peak.t_ns)
+        if self._fleet.ranging.cues != "both" or self.current.ball.radius_m is None or level is None:
+            return
+        eye = self._target_search.eye(level, self._moored)
+        tilt_rad = math.asin(max(-1.0, min(1.0, eye.rotation[2][2])))
+        outline, sigma, _ = self._light.corrected(peak, eye, self.current.ball, "both")
+        ratio = cue_ratio(self._calibration, outline, peak.lens_position, sigma, self.current.ball, tilt_rad)
+        self.current.consistency.sweep(ratio, refused, now_ns)
+
+    def look(self, sightings: Iterable[Sighting], pose: Pose, own: OwnView | None) -> None:
+        """Take note of frames that should show a target, with camera and lens at rest; see TargetState.looked."""
+        for sighting in sightings:
+            target = self.all.get(sighting.target)
+            if target is None or (own is not None and own.best is None):
+                continue
+            if sighting.found:
+                target.looked(True, sighting.t_ns)
+            elif sighting.index < 0 and sighting.t_ns >= self._target_search.pointing.steady_from_ns:
+                level, believed = self._attitude.at(sighting.t_ns), target.estimator.posterior
+                if level is not None and believed is not None and target.name == self.watched:
+                    eye = self._target_search.eye(level, pose)
+                    if shows_whole(self._calibration, eye, target.ball, believed.x_m, believed.cov_m2):
+                        target.looked(False, sighting.t_ns)
+
     def _kept(self, peak: Measurement, known: Sample, prior: Prior, now_ns: int) -> bool:
         """Whether a robot that swims keeps a measurement until it knows better where it was then. The sighting may also
         tell it where it is, by what others say of the target."""
@@ -156,6 +184,11 @@ class Targets(Revertible):
     def _settling(self) -> bool:
         """A sweep has ended, and what it is worth is still to be known."""
         return self._light.judging or self._source.settling
+
+    def faults(self, now_ns: int) -> tuple[str, ...]:
+        """Targets whose belief cannot be trusted, and why."""
+        told = ((name, *each.consistency.verdict(now_ns)) for name, each in self.all.items())
+        return tuple(f"{word}: {name}: {causes[0]}" for name, word, causes in told if causes)
 
     # --- iterations -------------------------------------------------------------------------------------------
 

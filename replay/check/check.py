@@ -113,8 +113,8 @@ def as_said(payload: bytes, src: str) -> bytes:
         estimate = msgpack.unpackb(payload)
         _, entries, samples, _, proposals = estimate["gossip"]  # in the order of messages.Gossip
         for said in (*entries, *samples, *proposals):
-            if said[0] == src and isinstance(said[-1], bytes):  # first its origin, last its signature
-                said[-1] = b""
+            if said[0] == src:  # its origin is first; of all parts its signature alone is bytes
+                said[:] = [b"" if isinstance(part, bytes) else part for part in said]
         return bytes(msgpack.packb(estimate))
     except (ValueError, TypeError, LookupError, msgpack.UnpackException, RecursionError):
         return payload

@@ -154,15 +154,20 @@ def _ordinal(x: float) -> int:
 # Recordings of an older schema: in what today's outputs must differ from theirs, however alike the robots behave.
 
 NUMBERED = ("says.schema", "state.schema", "log.schema")  # fields that say the schema itself
-# What later schemas added, by the older one that lacks it: `common`; proposals, which end a gossip; the signature that
-# ends an entry; time and signature, which end a sample; of a state, `signed`, `sway_m`, `battery_v` and `ladder`.
-# Another entry is no such.
-ADDED = {
-    1: r"says\[\d+\]\.(common|gossip\[4\]|gossip\[1\]\[\d+\]\[6\]|gossip\[2\]\[\d+\]\[[67]\])"
-    r"|state\.(signed|battery_v|ladder|explain\.sway_m)"
+# What each schema added to the one before. 2: `common`; proposals, which end a gossip; the signature that ends an
+# entry; time and signature, which end a sample; of a state, `signed`, `sway_m`, `battery_v` and `ladder`; another entry
+# is no such. 3: `missed` and `echo`; the lever that ends an entry, the bound that ends a sample, step and `against`,
+# which end a proposal; of a state, `verdict`, `causes`, `moved_m` and `stretch`.
+NEW = {
+    2: r"says\[\d+\]\.(common|gossip\[4\]|gossip\[1\]\[\d+\]\[6\]|gossip\[2\]\[\d+\]\[[67]\])"
+    r"|state\.(signed|battery_v|ladder|explain\.sway_m)",
+    3: r"says\[\d+\]\.(missed|echo|gossip\[1\]\[\d+\]\[7\]|gossip\[2\]\[\d+\]\[8\]|gossip\[4\]\[\d+\]\[[56]\])"
+    r"|state\.(verdict|causes|explain\.(moved_m|stretch))",
 }
 IN_WORDS = {
-    1: "the schema itself, signatures, times of exposure, proposals, `common`, `signed`, `sway_m`, battery, ladder"
+    1: "the schema itself, signatures, times of exposure, proposals, `common`, `signed`, `sway_m`, battery, ladder, "
+    "echoes, misses, levers, steps, and verdicts",
+    2: "the schema itself, echoes, misses, levers, steps, and verdicts",
 }
 YOUNGER = ("state.battery_v", "state.ladder")  # said by robots only since some recordings of today's schema were made
 
@@ -190,4 +195,4 @@ def only_younger(fields: Collection[str], first: Difference) -> bool:
 
 @cache
 def _added(schema: int) -> re.Pattern[str]:
-    return re.compile(ADDED.get(schema, r"\b\B"))  # else nothing
+    return re.compile("|".join(added for later, added in NEW.items() if later > schema) or r"\b\B")  # nothing

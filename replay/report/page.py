@@ -341,7 +341,8 @@ figure svg { display: block; width: 100%; height: auto; fill: var(--text) }
 table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: .92em }
 td, th { padding: .25em .7em; text-align: right; border-bottom: 1px solid var(--line); white-space: nowrap }
 th { font-weight: 500; color: var(--dim) } tr:last-child td { border-bottom: 0 }
-td:first-child, th:first-child, #valid td:last-child, #valid th:last-child { text-align: left }
+td:first-child, th:first-child, #valid td:last-child, #valid th:last-child,
+#trust .wide ~ .wide td:last-child, #trust .wide ~ .wide th:last-child { text-align: left }
 td:first-child, th:first-child { position: sticky; left: 0; background: var(--panel); padding-left: 0 }
 #ends td:first-child { font-weight: 600 }
 details { margin: 0 0 .5em } summary { cursor: pointer; padding: .4em .2em; font-weight: 600 }

@@ -102,6 +102,16 @@ def _sections(run: Run, survey: Surveyed | None, depth: MeasureDepth | None) -> 
     targets = [(target, timelines) for target in run.fleet.target if (timelines := run.about(target))]
     sections = [
         Section("errors", "Errors", report_tables.error_note(run), [report_tables.errors_at_end(run)], [], False),
+        Section(
+            "trust",
+            "Whether it could be trusted",
+            "What each robot said of its own belief: consistent where nothing speaks against it, suspect where "
+            "something does, contradicted where measurements exclude each other, missing where robots look and do not "
+            "see the target. While the word is another than consistent, the stated sigma is not to be relied on.",
+            [table for table in (report_tables.trust(run), report_tables.causes(run)) if table],
+            [],
+            False,
+        ),
         *_axis_by_axis(run),
         Section(
             "iterations",

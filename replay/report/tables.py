@@ -15,14 +15,15 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from msgspec import UNSET
 
-from agent.core.messages import Symmetric, Vector
+from agent.core.messages import State, Symmetric, Vector
 from agent.core.robot_view import AXES
 from agent.core.step_io import SweepOutcome
+from agent.core.verdict import ORDER
 from agent.robot.arbiter import priorities
 from replay.report import figures
 from replay.report.figures import VARIANCES
 from replay.report.lead import ORDERED, OVER, End, ends, truth_of
-from replay.report.page import Row, Table, cell
+from replay.report.page import Row, Table, cell, percent
 from replay.report.timeline import SURVEYED, Array, RobotTimeline, Run, Surveyed, survey_rows
 
 # --- errors at the end ---
@@ -243,6 +244,57 @@ class _Remark(NamedTuple):
 def _of_view(text: str) -> bool:
     """Whether a line of the log is about who knows and sees the target, alone or of several: "stone: sees since"."""
     return VIEW.search(text) is not None
+
+
+# --- trust ---
+# Whether robots trusted what they believed of each target, and why not.
+
+SAYS_TRUST = 3  # the schema from which on a State has a verdict
+FIGURE = re.compile(r"\b\d+(\.\d+)?")  # not that of a robot's name
+
+
+def trust(run: Run) -> Table | None:
+    """Of each robot and target the share of the dive with each word; None where no robot could say one."""
+    rows: list[Row] = [["robot", *ORDER]]
+    for timeline in run.timelines:
+        words = [state.verdict for _, state in _judged(timeline)]
+        if words:
+            rows.append([timeline.label, *(percent(words.count(word) / len(words)) for word in ORDER)])
+    if len(rows) == 1:
+        return None
+    about = "Share of the time in which each robot knew of the target, by what it said of its own belief"
+    return Table(f"{about}; docs/doubt.md has what the words mean.", rows)
+
+
+def causes(run: Run) -> Table | None:
+    """Why robots did not trust what they believed: each cause once, however often it came; None where all did."""
+    found: dict[tuple[str, str], _Remark] = {}
+    for timeline in run.timelines:
+        held: set[str] = set()
+        for t_s, state in _judged(timeline):
+            kinds = {FIGURE.sub("#", text): text for text in state.causes}
+            for kind, text in kinds.items():
+                before = found.get((timeline.label, kind), _Remark(text, 0, t_s, t_s))
+                found[timeline.label, kind] = _Remark(text, before.times + (kind not in held), before.first_s, t_s)
+            held = set(kinds)
+    if not found:
+        return None
+    rows = [[robot, f"{r.first_s:.1f}", f"{r.last_s:.1f}", str(r.times), r.text] for (robot, _), r in found.items()]
+    head = ["robot", "began, s", "last, s", "times", "cause"]
+    return Table(
+        "Why not, as the robots say it: when each cause began first and stood last, and how many times it began. "
+        "Causes that differ in figures alone stand here once, with the newest.",
+        [head, *sorted(rows, key=lambda row: float(row[1]))],
+    )
+
+
+def _judged(timeline: RobotTimeline) -> list[tuple[float, State]]:
+    """The states that say of a belief whether it can be trusted."""
+    return [
+        (t_s, state)
+        for t_s, state in timeline.states
+        if state.schema >= SAYS_TRUST and (state.posterior_m is not None or state.causes)
+    ]
 
 
 def hover(run: Run) -> Table:

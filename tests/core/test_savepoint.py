@@ -19,8 +19,7 @@ from agent.core.attitude import AttitudeLog
 from agent.core.config import Fleet, Navigation, Search
 from agent.core.messages import Explain, Order, State
 from agent.core.step_transaction import Revertible, Savepoint, StepTransaction
-from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, fleet_of
-from agent.experiments.reconstruction.drawn_scene import draw_scene
+from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, draw_scene, fleet_of
 from agent.robot.step import Agent
 from tests.capabilities.light.dark_fish import DarkFish
 from tests.capabilities.light.dark_survey import DarkSurvey

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from agent.core.messages import Explain
 from agent.core.target_state import TargetState
 from agent.demo.demo import demo_fleet
 
@@ -23,7 +24,7 @@ def test_a_change_is_news_when_it_has_lasted_for_two_iterations(states: str) -> 
     target, news, shown = TargetState(FLEET, "r1", "ball", 1), [], []
     for t, state in enumerate(states.split(), start=1):
         target.estimator = SimpleNamespace(  # type: ignore[assignment]
-            tick=lambda prior, cache, now_ns, t=t: SimpleNamespace(t=t),
+            tick=lambda prior, cache, now_ns, t=t: SimpleNamespace(t=t, explain=Explain()),
             valid=state == "sees",
             posterior=None if state == "blind" else object(),
         )

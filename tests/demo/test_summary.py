@@ -8,7 +8,7 @@ from msgspec.structs import replace
 from agent.core.config import Target
 from agent.core.messages import State
 from agent.demo.display import verdict
-from agent.demo.summary import History, first_below, outside_m, reasons, score, settled, summarize
+from agent.demo.summary import History, doubts, first_below, outside_m, reasons, score, settled, summarize
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 
@@ -74,6 +74,20 @@ def test_the_verdict_is_over_all_targets() -> None:
     summary = summarize(fleet, {"ball": good, "buoy": bad}, truth, 1.0)
     assert summary["verdict"] == "fail"
     assert summary["reasons"][0].startswith("buoy: r1: relative error 2.1")
+
+
+def test_it_has_what_each_robot_said_last_of_its_own_belief_and_that_decides_nothing() -> None:
+    fleet = load_fleet(fleet_file("tank"))
+    before = state(4, 0.001, acquired_t=1, verdict="missing", causes=("r1, r2 do not see it",))
+    after = state(5, 0.001, acquired_t=1, verdict="suspect", causes=("r2 stands apart",))
+    of_target = {"r1": History([before, after]), "r2": History([before, state(5, 0.001, acquired_t=1)])}
+    summary = summarize(fleet, {"ball": of_target | {"r3": History([])}}, {"target_m": {"ball": TRUTH}}, 1.0)
+    agents = summary["targets"]["ball"]["agents"]
+    assert (agents["r1"]["verdict"], agents["r1"]["causes"]) == ("suspect", ["r2 stands apart"])
+    assert (agents["r2"]["verdict"], agents["r2"]["causes"]) == ("consistent", [])
+    assert (agents["r3"]["verdict"], agents["r3"]["causes"]) == (None, [])
+    assert doubts(summary) == ["r1 ended suspect: r2 stands apart"]
+    assert not any("suspect" in reason for reason in summary["reasons"])
 
 
 RADII = (0.03, 0.09, 0.06)  # of a thing in a box around TRUTH

@@ -25,7 +25,7 @@ from agent.experiments.reconstruction.render import (
     scene_of_seed,
     trained,
 )
-from agent.experiments.reconstruction.score import distances_to, into_truth, nearest_m, score, seen_twice
+from agent.experiments.reconstruction.scenes import distances_to, into_truth, nearest_m, score, seen_twice
 from agent.experiments.reconstruction.survey import WideBodies, swimming_fleet, swum
 from agent.reconstruction.views import Camera
 from hw.twin.optics.lens import draw_lens

@@ -93,7 +93,7 @@ def bomb(rng: Random) -> bytes:
             name = rng.choice((b"schema", b"x_m", b"gossip", b"src", b"strange"))
             return b"\x81" + bytes([0xA0 + len(name)]) + name + inner
         case 2:
-            fields = {"schema": 2, "fleet": "tank", "src": "r2", "dst": "r1", "target": "ball"}
+            fields = {"schema": 3, "fleet": "tank", "src": "r2", "dst": "r1", "target": "ball"}
             return bytes([0x80 + len(fields) + 1]) + bytes(msgpack.packb(fields))[1:] + b"\xa6gossip" + inner
         case 3:
             start = rng.choice((b"\xdd", b"\xdf", b"\xc6", b"\xdb", b"\xc9"))

@@ -57,7 +57,7 @@ def anything(rng: Random) -> Any:
         case 7:
             return rng.randbytes(rng.choice((0, 1, 32, 64, 65)))
         case _:
-            return rng.choice(([], {}, [[]], {"a": None}, [0.0] * 6, [0.0] * 3, [1] * 70, {"schema": 2}, {"r1": 1.0}))
+            return rng.choice(([], {}, [[]], {"a": None}, [0.0] * 6, [0.0] * 3, [1] * 70, {"schema": 3}, {"r1": 1.0}))
 
 
 def of_type(kind: type, rng: Random, wild: float) -> Any:

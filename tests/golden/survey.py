@@ -2,8 +2,15 @@
 
 from pathlib import Path
 
-from agent.experiments.reconstruction.coverage import SIZE_M, STEP_NS, SURFACE_M, SURVEY_START_NS, World, fleet_of
-from agent.experiments.reconstruction.drawn_scene import draw_scene
+from agent.experiments.reconstruction.coverage import (
+    SIZE_M,
+    STEP_NS,
+    SURFACE_M,
+    SURVEY_START_NS,
+    World,
+    draw_scene,
+    fleet_of,
+)
 from tests.replay.step_box import StepBox
 
 SECONDS = 15.0  # two keyframes of each

@@ -10,8 +10,7 @@ from agent.core.codec import encode
 from agent.core.config import Follow
 from agent.core.messages import Order
 from agent.core.step_io import Inputs, Ordered
-from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, fleet_of
-from agent.experiments.reconstruction.drawn_scene import draw_scene
+from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, draw_scene, fleet_of
 from agent.robot.arbiter import PRIORITIES, table
 from agent.robot.step import Agent
 from tests.capabilities.light.dark_fish import DarkFish

@@ -22,8 +22,9 @@ from agent.capabilities.survey.coverage_map import STARTS, SUMS, CoverageMap, He
 from agent.core.capability_messages import SHORT_MASK, Claim, Frame, Has, Keyframe, View, claim_fault, frame_fault
 from agent.core.codec import Refusal
 from agent.core.config import Fleet
+from agent.core.link_clocks import CLOCKS_NS
 from agent.core.step_transaction import Revertible
-from agent.core.trust import CLOCKS_NS, HEARSAY, OVERDRAWN, Authority, MessageCache, keyframe_bytes
+from agent.core.trust import HEARSAY, OVERDRAWN, Authority, MessageCache, keyframe_bytes
 
 CLAIM_NS = 500_000_000  # twice a second each says what it holds
 SEND_NS = 100_000_000  # from one keyframe to the next

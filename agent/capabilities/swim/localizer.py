@@ -23,6 +23,7 @@ from agent.capabilities.swim.projection import readable, view
 from agent.capabilities.swim.tag_fix import (
     TURNING_DEG,
     Map,
+    NoFix,
     Priors,
     TagFix,
     first_fix,
@@ -193,6 +194,10 @@ ROLLING_RAD_S = math.radians(5.0)
 ALIKE = 10.0
 AWAY_S = 1.0  # for which a camera that turns away sees no landmarks
 SWIFTLY_S = 0.5  # the same of one that goes with what swims, and has some behind that soon
+# Frames with tags of the last time, and shares of them without a pose: suspect, contradicted.
+JUDGED_NS, FEWEST = 30_000_000_000, 10
+WITHOUT = (0.1, 0.4)
+CHECK = "check tag size, map, lens or water level"
 
 
 class Carriage(NamedTuple):
@@ -230,6 +235,7 @@ class Localizer(Revertible):
         self._sampled_ns: int | None = None
         self._unsettled: Unsettled | None = None
         self.refused = ""  # why the newest frame with landmarks gave no pose
+        self._judged: deque[tuple[int, bool]] = deque()  # exposures of frames with tags, and whether they gave none
 
     def see(self, frame: SeenTags, carriage: Carriage) -> None:
         """The landmarks of a frame; level and gimbal at its exposure."""
@@ -247,6 +253,8 @@ class Localizer(Revertible):
             found = first_fix(of, _priors(carriage, None), self._map, tags)
         else:
             found = tag_fix(of, _priors(carriage, before), self._map, tags, before.pose)
+        if isinstance(found, TagFix) or not found.ambiguous:
+            self._judged.append((frame.t_ns, isinstance(found, NoFix)))
         if not isinstance(found, TagFix):
             self.refused = found.reason
             return
@@ -352,6 +360,16 @@ class Localizer(Revertible):
         self.aid.advance(now_ns)
         while self._fixes_ns and self._fixes_ns[0] < now_ns - round(MEMORY_S * 1e9):
             self._fixes_ns.popleft()
+        while self._judged and self._judged[0][0] < now_ns - JUDGED_NS:
+            self._judged.popleft()
+
+    def fault(self) -> str | None:
+        """That tags, map, lens and water level do not fit together, for people; None while they do."""
+        without = sum(refused for _, refused in self._judged) / max(len(self._judged), 1)
+        if len(self._judged) < FEWEST or without <= WITHOUT[0]:
+            return None
+        word = "contradicted" if without > WITHOUT[1] else "suspect"
+        return f"tags: {word}: {100.0 * without:.0f} % of the frames with tags give no place: {CHECK}"
 
     def at(self, t_ns: int) -> Belief | None:
         """Where it was or is; None: it is not known."""

@@ -29,7 +29,6 @@ from agent.core.ranging.pointing import SERVO_LAG_S
 from agent.core.ranging.search_pattern import rows_deg
 from agent.core.step_io import Sighting
 from agent.core.step_transaction import Revertible
-from agent.core.target_state import grown
 
 # --- gimbal track ---
 # It goes with the target: ahead of where the target was last known to be, and, where the target is not seen, to and
@@ -257,7 +256,7 @@ class Pursuit(Revertible):
         pose = pose_of(here._replace(x=(x, y, psi, *here.x[3:])))
         at_m = carried_on(of.believed, self._swims[name], now_ns + round(AHEAD_S * 1e9))
         lost = of.estimate is None or now_ns - of.estimate.seen_ns > ALL_LOST_NS
-        at_m = self._searched(at_m, grown(of.believed, self._swims[name], now_ns), (x, y, at_m[2]), lost, now_ns)
+        at_m = self._searched(at_m, of.believed.cov_m2, (x, y, at_m[2]), lost, now_ns)
         pan, tilt = look_at(at_m, pose, body, *level, surface_m)
         eye_m = camera_pose(pose, body, *level, pan, tilt, surface_m).position_m
         self._lens = round(lens_position(self._calibration.focus, max(math.dist(at_m, eye_m), NEAREST_M)))

@@ -288,9 +288,9 @@ class Swimmer(Revertible):
             self.localizer.turning(readings[-1])
 
     def faults(self, now_ns: int) -> tuple[str, ...]:
-        """What is wrong with its sensors and its neighbours, for people."""
-        fault = None if self._gyro is None else self._gyro.fault(now_ns)
-        return (*(() if fault is None else (fault,)), *self.deconfliction.neighbours.faults(now_ns))
+        """What is wrong with its sensors, its landmarks and its neighbours, for people."""
+        found = None if self._gyro is None else self._gyro.fault(now_ns), self.localizer.fault()
+        return (*(fault for fault in found if fault is not None), *self.deconfliction.neighbours.faults(now_ns))
 
     def dive(self, depth_m: float) -> None:
         """Hover there from now on."""

@@ -141,6 +141,7 @@ class TagFix(NamedTuple):
 
 class NoFix(NamedTuple):
     reason: str
+    ambiguous: bool = False  # more than one pose explains the tags: nothing is wrong with them
 
 
 class _Used(NamedTuple):
@@ -357,7 +358,7 @@ def first_fix(of: View, priors: Priors, known: Map, tags: Sequence[SeenTag]) -> 
     most = max(fix.tags for fix in found)
     best, *others = sorted((fix for fix in found if fix.tags == most), key=lambda fix: fix.cost)
     if any(other.cost - best.cost < UNLIKELY and not _same(other.theta, best.theta) for other in others):
-        return NoFix("two poses explain the tags; another view will tell")
+        return NoFix("two poses explain the tags; another view will tell", ambiguous=True)
     return best
 
 

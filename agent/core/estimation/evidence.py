@@ -27,16 +27,19 @@ from functools import partial
 from msgspec.structs import replace
 
 from agent.core.estimation.evidence_table import Bounds, Key, Table, entry_fault, floored, mark
-from agent.core.estimation.fuse import Fused, fuse
+from agent.core.estimation.fuse import Fused, fuse, stretch
 from agent.core.estimation.interface import NOTHING, Bearing, EstimateCache, Posterior, Prior, Update, Word
-from agent.core.estimation.modes import SEEN_NS, Conclusion, DeliveryLedger, Innovation, Me, Mode, Motion, outliving
-from agent.core.estimation.moving_target import WINDOW, MovingTarget
-from agent.core.estimation.track import ROLLING, Dynamics
-from agent.core.linear_algebra import apply, difference, distance2, inverse, plus, trace
-from agent.core.messages import Entry, Epoch, Estimate, Explain, Gossip, Holding, Proposal, Symmetric
+from agent.core.estimation.modes import Conclusion, DeliveryLedger, Me, Mode, outliving
+from agent.core.estimation.motion import ALARM, Innovation, Motion
+from agent.core.estimation.moving_target import WINDOW, MovingTarget, unseen
+from agent.core.estimation.track import ROLLING, Dynamics, outer
+from agent.core.linear_algebra import apply, difference, distance2, inverse, plus, times, trace
+from agent.core.link_clocks import Way
+from agent.core.messages import Entry, Epoch, Estimate, Explain, Gossip, Holding, Proposal, Symmetric, Vector
 from agent.core.step_transaction import Revertible
 from agent.core.trust import (
     HEARSAY,
+    WITNESSES,
     Authority,
     CachedMessage,
     EpochVote,
@@ -51,13 +54,16 @@ CARRIED = 8  # own samples that a new epoch begins with: fewer than it takes to 
 ENTRIES = 14  # in one message: two datagrams, and all there is in a swarm of that size
 DOUBTED = 10  # iterations in a row, after which a robot begins anew
 ANEW_NS = 10_000_000_000  # and not again before this
+ODD = 30.0  # NIS of an own sample, 3 degrees of freedom, beyond which the target may have moved: one in a million
+HEDGE = 1.0 / 3.0  # of D D', what a step D that is not settled adds: NEES is 6 at most, whichever is true
 
 
 class Evidence(Revertible):
     """State of one robot for one target. `incarnation` must differ from that of every earlier start.
 
     subject: fleet and target, as they are signed. verify: how signatures are checked. dynamics: of the target; one
-    that swims by the fleet file moves from the first epoch on, and no robot tests whether it rests.
+    that swims by the fleet file moves from the first epoch on, and no robot tests whether it rests. alarm: from which
+    on own samples say that a target at rest moved (motion.ALARM).
     """
 
     def __init__(
@@ -73,6 +79,7 @@ class Evidence(Revertible):
         subject: tuple[str, str] = ("", ""),
         verify: Verify = verify_signature,
         dynamics: Dynamics = ROLLING,
+        alarm: float = ALARM,
     ) -> None:
         self._authority = Authority(neighbours, verify)
         key = (me, incarnation)
@@ -89,7 +96,11 @@ class Evidence(Revertible):
         self._swims = math.isfinite(dynamics.turn_s)
         self.epoch = epoch_of(1) if self._swims else Epoch()
         self._vote = EpochVote(me)
-        self._motion = Motion()
+        self._alarm, self._motion = alarm, Motion(alarm)
+        self._odd_m: Vector | None = None  # the step of our newest sample, where it is hardly of the same place
+        self._changed_ns = 0  # since when our samples are of the new place, as far as we know
+        self._alone = False  # in an epoch that one robot's word began, and no other has measured in
+        self._step_m: Vector | None = None  # by which the target may have moved: not settled yet
         self._doubted = 0  # iterations in a row
         self._anew_ns = 0  # when we last began anew
         self._mode: Mode = self._mode_of(self.epoch)
@@ -100,10 +111,10 @@ class Evidence(Revertible):
         if self._stale:
             self._believed = self._mode.conclude(self.valid, self._believed, self._now_ns).posterior
             self._stale = False
-        return self._believed
+        return self._hedged(self._believed)
 
     def by_others(self) -> Posterior | None:
-        return self._mode.by_others()
+        return None if self._step_m is not None else self._mode.by_others()
 
     def trust(self, keys: Mapping[str, bytes]) -> None:
         """Take over public keys. A robot that lost or changed its key is believed no more, from this moment."""
@@ -130,7 +141,7 @@ class Evidence(Revertible):
             return faults  # our next message tells it of our epoch, or its next one brings us the proposals
         self._pass(letter.arrived_ns)
         self._stale |= bool(said.gossip.entries or said.gossip.samples)
-        return (*faults, *self._mode.hear(src, said.gossip, letter.arrived_ns - letter.late_ns))
+        return (*faults, *self._mode.hear(src, said.gossip, letter.arrived_ns, letter.way))
 
     def _hear_epochs(self, src: str, gossip: Gossip, now_ns: int) -> tuple[str, ...]:
         """Which epoch a neighbour is in, and which robots propose another."""
@@ -145,6 +156,7 @@ class Evidence(Revertible):
                 faults.append(fault)
         self._vote.neighbour(src, gossip.epoch, now_ns)
         self._follow(now_ns)
+        self._step_m = self._unsettled(now_ns)
         return tuple(faults)
 
     def _proposal_fault(self, src: str, proposal: Proposal, now_ns: int) -> str | None:
@@ -161,10 +173,7 @@ class Evidence(Revertible):
             self._measured += 1
             innovation = self._mode.add(self._measured, prior, now_ns)
             self._recent.append((self._measured, prior))
-            if innovation is not None:
-                self._motion.sample(innovation)
-            if self._motion.moves and not self.epoch.moving:
-                self._vote.propose(self.epoch, now_ns)
+            self._notice(prior, innovation, now_ns)
         concluded = self._mode.conclude(self.valid, self._believed, now_ns)
         self._believed, self._stale = concluded.posterior, False
         if self.epoch.moving and not self._swims and self._believed is not None:
@@ -173,10 +182,50 @@ class Evidence(Revertible):
                 self._vote.propose(self.epoch, now_ns)
         self._look_at_oneself(self.valid and concluded.doubts_itself, now_ns)
         self._follow(now_ns)
+        self._step_m = self._unsettled(now_ns)
         self.t += 1
         used = tuple(name for name, _ in cache.usable(now_ns, self._validity_ns))
-        explain = replace(concluded.explain, ages_s=cache.ages_s(now_ns))
+        explain = replace(concluded.explain, ages_s=cache.ages_s(now_ns), moved_m=self._step_m)
         return Update(self.t, concluded.rule, concluded.alpha, used, explain)
+
+    def _notice(self, prior: Prior | Bearing, innovation: Innovation | None, now_ns: int) -> None:
+        """Whether the target moved, by our newest sample and those before it; and what we say to another's word."""
+        if self.epoch.moving:
+            if innovation is not None:
+                self._motion.tracked(innovation)
+        elif isinstance(prior, Prior):
+            self._odd_m = innovation.step_m if innovation is not None and innovation.nis > ODD else None
+            moved, told = self._motion.rested(prior), self._vote.pending(self.epoch, now_ns)
+            if moved is not None:
+                self._vote.propose(self.epoch, now_ns, moved.step_m)
+                self._changed_ns = moved.since_ns
+            elif told is not None and told.proposal.step_m is not None and told.proposal.proposer != self._me.key[0]:
+                seconds = self._motion.judge(told.proposal.step_m, told.heard_ns)
+                if seconds is not None:
+                    self._vote.propose(self.epoch, now_ns, told.proposal.step_m, against=not seconds)
+
+    def _unsettled(self, now_ns: int) -> Vector | None:
+        """By how much the target may have moved, as long as nobody can know: by a word that is neither seconded nor
+        refuted, by our newest sample, or by the word of one robot alone."""
+        told = self._vote.pending(self.epoch, now_ns)
+        if told is not None:
+            return told.proposal.step_m
+        if self._odd_m is not None:
+            return self._odd_m
+        words = [each.step_m for each in self._vote.witnesses if each.step_m is not None]
+        measured = len(self._mode.measured_ns())
+        self._alone = self._alone and measured < WITNESSES and not (measured and len(words) >= WITNESSES)
+        return words[0] if self._alone and words else None
+
+    def _hedged(self, believed: Posterior | None) -> Posterior | None:
+        """What we believe, as wide as it has to be: for the target is not seen, or may have moved."""
+        if believed is None:
+            return None
+        if believed.t_ns:
+            believed = unseen(believed, self._me.dynamics, self._me.bounds.tank_m, self._now_ns)
+        if self._step_m is None:
+            return believed
+        return believed._replace(cov_m2=plus(believed.cov_m2, times(HEDGE, outer(self._step_m))))
 
     def say(self, to: str, now_ns: int) -> Word:
         self._pass(now_ns)
@@ -195,7 +244,7 @@ class Evidence(Revertible):
         self._doubted = self._doubted + 1 if doubted else 0
         alone = self._vote.unseconded(self.epoch, now_ns)
         if alone:
-            self._motion = Motion()
+            self._motion, self._odd_m = Motion(self._alarm), None
         if (alone and not self.epoch.moving) or self._doubted >= DOUBTED:
             self._begin_anew(now_ns)
 
@@ -215,17 +264,21 @@ class Evidence(Revertible):
 
     def _follow(self, now_ns: int) -> None:
         """Begin the epoch that enough robots propose or are in."""
-        if (epoch := self._vote.next(self.epoch, self._mode.seeing(now_ns), now_ns)) is not None:
+        if (epoch := self._vote.next(self.epoch, self._mode.measured_ns(), now_ns)) is not None:
             self.begin(epoch, now_ns)
 
     def begin(self, epoch: Epoch, now_ns: int) -> None:
-        """A new epoch begins, with the newest own samples."""
-        self.epoch, self._motion, self._stale = epoch, Motion(), True
+        """A new epoch begins, with the newest own samples: of a target that moved, those since it did."""
+        told, changed_ns = self._vote.pending(self.epoch, now_ns), self._changed_ns
+        if told is not None and not changed_ns:
+            changed_ns = told.heard_ns
+        self.epoch, self._motion, self._stale = epoch, Motion(self._alarm), True
+        self._odd_m, self._changed_ns, self._alone = None, 0, True
         self._vote.begin(epoch, now_ns)
         self._mode = self._mode_of(epoch)
-        oldest_ns = now_ns - WINDOW * self._me.bounds.iteration_ns
+        oldest_ns = max(now_ns - WINDOW * self._me.bounds.iteration_ns, changed_ns if epoch.moving else 0)
         for number, prior in self._recent:
-            if prior.t_ns > oldest_ns:
+            if prior.t_ns >= oldest_ns:
                 self._mode.add(number, prior, now_ns)
 
     def _mode_of(self, epoch: Epoch) -> Mode:
@@ -268,7 +321,7 @@ class StaticTarget(Revertible):
         self._nis = distance2(covariance, step)
         return Innovation(step, covariance, self._nis)
 
-    def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
+    def hear(self, src: str, gossip: Gossip, arrived_ns: int, way: Way | None) -> list[str]:
         faults, ledger, table = [], self._ledgers[src], self._table
         if self._me.authority.keys is None:  # a robot that speaks to us voids what others said in its name
             for key in [key for key in table.hearsay if key[0] == src]:
@@ -322,8 +375,8 @@ class StaticTarget(Revertible):
         for key in [key for key in self._table.entries if key[0] in origins and key[0] != self._me.key[0]]:
             self._drop(key, 0)
 
-    def seeing(self, now_ns: int) -> int:
-        return sum(now_ns - news_ns <= SEEN_NS for news_ns in self._news_ns.values())
+    def measured_ns(self) -> Mapping[str, int]:
+        return self._news_ns
 
     def restarted(self, src: str) -> None:
         self._ledgers[src].forget()
@@ -343,7 +396,8 @@ class StaticTarget(Revertible):
         )
 
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
-        fused = fuse(self._table.opinions(), self._me.common_m2, self._me.liars)
+        opinions = self._table.opinions()
+        fused = fuse(opinions, self._me.common_m2, self._me.liars)
         if fused is None:
             return Conclusion(before, "hold", 0.0, Explain(status="none", epoch=self._epoch))
         alpha = self._gain * fused.shares.get(self._me.key[0], 0.0) if valid else 0.0
@@ -355,6 +409,7 @@ class StaticTarget(Revertible):
             epoch=self._epoch,
             nis=self._nis if valid else None,
             sway_m=fused.sway_m,
+            stretch=stretch([opinion for opinion in opinions if fused.factors[opinion.origin] > 0.0]),
         )
         if fused.verdict == "ambiguous":
             return Conclusion(self._alone(valid) or before or _agreed(fused), "ambiguous", alpha, explain)

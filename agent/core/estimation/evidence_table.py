@@ -17,10 +17,22 @@ from zlib import crc32
 from agent.core.estimation.fuse import AGREE, Opinion
 from agent.core.estimation.interface import NOTHING, Bearing, Prior
 from agent.core.estimation.track import chord, line
-from agent.core.linear_algebra import ZERO, apply, distance2, inverse, minus, plus, semidefinite, times, trace
+from agent.core.linear_algebra import (
+    ZERO,
+    add,
+    apply,
+    difference,
+    distance2,
+    inverse,
+    minus,
+    plus,
+    semidefinite,
+    times,
+    trace,
+)
+from agent.core.link_clocks import CLOCKS_NS
 from agent.core.messages import Entry, Sample, Symmetric, Vector
 from agent.core.step_transaction import Revertible
-from agent.core.trust import CLOCKS_NS
 
 Key = tuple[str, int]  # origin, incarnation
 
@@ -45,21 +57,23 @@ class Table(Revertible):
         Raises ValueError where the covariance of the prior has no inverse.
         """
         if isinstance(prior, Bearing):
-            information, fixed_m2 = prior.information, NOTHING
+            information, fixed_m2, lever_m = prior.information, NOTHING, (0.0, 0.0, 0.0)
         else:
-            found, fixed_m2 = inverse(floored(prior.random_m2)), prior.systematic_m2
+            found, fixed_m2, lever_m = inverse(floored(prior.random_m2)), prior.systematic_m2, prior.lever_m
             if found is None:
                 raise ValueError(f"covariance of the prior {prior.random_m2} is singular")
             information = found
         x, y, z = apply(information, prior.x_m)
         old = self.entries.get(key)
         if old is None:
-            entry = Entry(*key, 1, information, (x, y, z), fixed_m2)
+            entry = Entry(*key, 1, information, (x, y, z), fixed_m2, lever_m=lever_m)
         else:
             count, (ox, oy, oz) = old.count + 1, old.vector
             drift = times((count - 1) / count, old.systematic_m2)
             systematic = plus(drift, times(1.0 / count, fixed_m2))
-            entry = Entry(*key, count, plus(old.information, information), (ox + x, oy + y, oz + z), systematic)
+            sums = plus(old.information, information), (ox + x, oy + y, oz + z)
+            lever_m = add(old.lever_m, 1.0 / count, difference(lever_m, old.lever_m))
+            entry = Entry(*key, count, *sums, systematic, lever_m=lever_m)
         self._own = key
         self._put(entry)
         return information
@@ -126,13 +140,14 @@ def opinion(origin: str, entries: list[Entry]) -> Opinion | None:
     Its systematic error is the same in every sample and in every incarnation, so it enters once and is never divided.
     """
     information, vector, systematic, total = ZERO, (0.0, 0.0, 0.0), ZERO, 0.0
+    lever_m = entries[0].lever_m if entries else (0.0, 0.0, 0.0)
     most = trace(entries[0].information) if entries else 0.0
     for entry in entries:
         if total and not _agrees(information, vector, entry):
             break
         share = 1.0 if _alike(entries[0], entry) else min(1.0, most / trace(entry.information))
         information = plus(information, times(share, entry.information))
-        vector = _sum(vector, share, entry.vector)
+        vector = add(vector, share, entry.vector)
         systematic = plus(systematic, times(share * entry.count, entry.systematic_m2))
         total += share * entry.count
     random = inverse(information)
@@ -140,7 +155,7 @@ def opinion(origin: str, entries: list[Entry]) -> Opinion | None:
         return None
     covariance = plus(random, times(1.0 / total, systematic))
     precision = inverse(covariance)
-    return None if precision is None else Opinion(origin, apply(random, vector), covariance, precision)
+    return None if precision is None else Opinion(origin, apply(random, vector), covariance, precision, lever_m)
 
 
 def _agrees(information: Symmetric, vector: Vector, older: Entry) -> bool:
@@ -164,16 +179,12 @@ def _alike(newest: Entry, older: Entry) -> bool:
 
 
 def mark(entry: Entry) -> int:
-    """A checksum of what an entry says, 32 bits."""
+    """A checksum of what an entry says of the place, 32 bits."""
     return crc32(pack("<15d", *entry.information, *entry.vector, *entry.systematic_m2))
 
 
 def _rank(entry: Entry) -> tuple[Any, ...]:
-    return entry.count, entry.information, entry.vector, entry.systematic_m2
-
-
-def _sum(a: Vector, k: float, b: Vector) -> Vector:
-    return a[0] + k * b[0], a[1] + k * b[1], a[2] + k * b[2]
+    return entry.count, entry.information, entry.vector, entry.systematic_m2, entry.lever_m
 
 
 # --- checks of evidence ---
@@ -203,6 +214,7 @@ def entry_fault(entry: Entry, bounds: Bounds, now_ns: int) -> str | None:
     return (
         _sums_fault(entry.origin, entry.count, entry.information, entry.vector, bounds)
         or (None if is_covariance(entry.systematic_m2, bounds.tank_m) else "not a covariance")
+        or (None if _is_lever(entry.lever_m, bounds.tank_m) else "outside the tank")
         or _time_fault(entry.incarnation, entry.count, bounds, now_ns)
     )
 
@@ -266,6 +278,11 @@ def _sums_fault(origin: str, count: int, information: Symmetric, vector: Vector,
     if covariance is None:
         return None  # a direction not yet seen: nothing to place
     return None if inside(apply(covariance, vector), bounds.tank_m) else "outside the tank"
+
+
+def _is_lever(lever_m: Vector, tank_m: Vector) -> bool:
+    """Whether a camera and what it sees can be so far apart."""
+    return finite(lever_m) and sum(part * part for part in lever_m) <= widest_m2(tank_m)
 
 
 def _line_fault(sample: Sample, tank_m: Vector) -> str | None:

@@ -20,7 +20,19 @@ from itertools import accumulate
 from typing import Literal, NamedTuple
 
 from agent.core.estimation.track import Square, Track, add_times, image, product, square, symmetric_part, transpose
-from agent.core.linear_algebra import ZERO, apply, difference, distance2, invert, minus, plus, quadratic, times, trace
+from agent.core.linear_algebra import (
+    ZERO,
+    apply,
+    difference,
+    distance2,
+    inner,
+    invert,
+    minus,
+    plus,
+    quadratic,
+    times,
+    trace,
+)
 from agent.core.messages import Symmetric, Vector
 
 Verdict = Literal["none", "single", "ok", "ambiguous", "outlier"]
@@ -44,6 +56,7 @@ class Opinion(NamedTuple):
     x_m: Vector
     cov_m2: Symmetric  # random part, shrunk by its samples, plus systematic part
     precision: Symmetric  # the inverse of that, 1/m^2
+    lever_m: Vector = (0.0, 0.0, 0.0)  # from its camera to there
 
 
 class Ballot(NamedTuple):
@@ -131,6 +144,25 @@ def mixture(places: Iterable[tuple[float, Vector, Symmetric]]) -> tuple[Vector, 
         a, b, c = difference(at, x)
         covariance = plus(covariance, times(w, plus(cov, (a * a, a * b, a * c, b * b, b * c, c * c))))
     return x, covariance
+
+
+def stretch(opinions: Sequence[Opinion]) -> tuple[float, float] | None:
+    """By which share all ranges are long, x_j = x + eps a_j with the levers a_j, and its sigma.
+
+    It is fitted with the place, and used for words alone: fused so, a robot would move the place by its lever. None
+    for fewer than three, or where the levers do not tell it.
+    """
+    if len(opinions) < DOUBTED:
+        return None
+    information, vector = _sum(map(_word, opinions))
+    covariance = invert(information)
+    _, pulled = _sum((of.precision, apply(of.precision, of.lever_m)) for of in opinions)
+    x, lever = apply(covariance, vector), apply(covariance, pulled)
+    known = math.fsum(inner(of.lever_m, apply(of.precision, difference(of.lever_m, lever))) for of in opinions)
+    if known <= 0.0:
+        return None
+    seen = math.fsum(inner(of.lever_m, apply(of.precision, difference(of.x_m, x))) for of in opinions)
+    return seen / known, 1.0 / math.sqrt(known)
 
 
 # --- origins that stand out ---
@@ -237,7 +269,7 @@ def _consistent(opinions: Sequence[Opinion]) -> tuple[list[list[int]], list[list
     consistent: list[list[int]] = [[j] for j in range(n)]
     distances2: list[list[float]] = []
     for j in range(n):
-        _, xj, pj, _ = opinions[j]
+        _, xj, pj, *_ = opinions[j]
         row = [distance2(plus(pj, o.cov_m2), difference(xj, o.x_m)) for o in opinions[:j]]
         for k, d2 in enumerate(row):
             if d2 < AGREE:

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import NamedTuple, Protocol
 
+from agent.core.link_clocks import Way
 from agent.core.messages import Estimate, Explain, Gossip, Symmetric, Vector
 from agent.core.trust import CachedMessage, MessageCache
 
@@ -23,6 +24,7 @@ class Prior(NamedTuple):
     random_m2: Symmetric  # covariance of what averages out over measurements
     t_ns: int  # when the sharpest frame was exposed
     systematic_m2: Symmetric = NOTHING  # of what does not: the same error in every measurement of this robot
+    lever_m: Vector = (0.0, 0.0, 0.0)  # from the camera to there, world frame
 
     @property
     def cov_m2(self) -> Symmetric:
@@ -99,6 +101,8 @@ class Estimator(Protocol):
 # --- cache ---
 # What neighbours said last of one target, and which of them can be used.
 
+HEARD_S = 2.0  # a neighbour's word of what it does not see holds for so long
+ECHOES = 3  # the schema from which on all echo; of older recordings what was queued is all that is known
 LATEST_T = 10**8  # iterations; a year has a third of it at one a second
 
 
@@ -111,6 +115,12 @@ class EstimateCache(MessageCache[Estimate]):
 
     def _addressed(self, message: Estimate) -> bool:
         return super()._addressed(message) and message.target == self._target
+
+    def _echo_of(self, message: Estimate) -> tuple[int, int] | None:
+        return message.echo
+
+    def _way(self, message: Estimate, known: Way | None, late_ns: int) -> Way | None:
+        return known if message.schema >= ECHOES else Way(late_ns, 0)
 
     def usable(self, now_ns: int, validity_ns: int) -> tuple[tuple[str, Estimate], ...]:
         """N_i ∩ S^t: neighbours heard of late that see the target, in the order of their names."""
@@ -127,6 +137,12 @@ class EstimateCache(MessageCache[Estimate]):
         """How old the newest message of each neighbour is; those that never spoke are left out."""
         ages_ns = {name: self.age_ns(name, now_ns) for name in self.senders}
         return {name: age_ns * 1e-9 for name, age_ns in ages_ns.items() if age_ns is not None}
+
+    def missed(self, now_ns: int) -> dict[str, float]:
+        """What neighbours heard of late say of looks at where the target should be; see messages.Estimate."""
+        fresh = {name for name, age_s in self.ages_s(now_ns).items() if age_s <= HEARD_S}
+        newest = {name: sender.newest for name, sender in self.senders.items() if name in fresh}
+        return {name: letter.message.missed for name, letter in newest.items() if letter is not None}
 
     def swarm_t(self, now_ns: int, validity_ns: int) -> int:
         """The iteration that the swarm has reached: the second largest of neighbours heard of late, for one of them may

@@ -5,19 +5,17 @@
 
 from __future__ import annotations
 
-from collections import deque
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from agent.core.estimation.evidence_table import Bounds
 from agent.core.estimation.interface import Bearing, Posterior, Prior
-from agent.core.estimation.track import ROLLING, Dynamics, summed
-from agent.core.linear_algebra import apply, invert, quadratic
-from agent.core.messages import Explain, Gossip, Holding, Symmetric, Vector
+from agent.core.estimation.motion import Innovation
+from agent.core.estimation.track import ROLLING, Dynamics
+from agent.core.link_clocks import CLOCKS_NS, Way
+from agent.core.messages import Explain, Gossip, Holding, Symmetric
 from agent.core.step_transaction import Revertible
-from agent.core.trust import CLOCKS_NS, Authority
-
-SEEN_NS = 20_000_000_000  # a robot that measured this lately sees the target
+from agent.core.trust import Authority
 
 
 class Me(NamedTuple):
@@ -52,8 +50,11 @@ class Mode(Protocol):
     def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> Innovation | None:
         """Take in an own sample; returns its innovation, None where nothing was expected."""
 
-    def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
-        """Take in what a neighbour passed on at `arrived_ns`; returns the kinds of what was not believed."""
+    def hear(self, src: str, gossip: Gossip, arrived_ns: int, way: Way | None) -> list[str]:
+        """Take in what a neighbour said, whose message arrived after `way`; returns the kinds of what was not believed.
+
+        way: None where nobody knows how long that was.
+        """
 
     def began(self, me: Me) -> None:
         """We write under another incarnation from now on."""
@@ -61,8 +62,8 @@ class Mode(Protocol):
     def distrust(self, origins: Collection[str]) -> None:
         """Drop all evidence of these origins."""
 
-    def seeing(self, now_ns: int) -> int:
-        """How many robots are known to have seen the target of late."""
+    def measured_ns(self) -> Mapping[str, int]:
+        """When each robot that is known to have measured the target did so last."""
 
     def restarted(self, src: str) -> None:
         """A neighbour started again, and holds nothing."""
@@ -83,83 +84,6 @@ def outliving(known: int | None, incarnation: int, me: Me, now_ns: int) -> int |
     That is an earlier start of ours, by a clock that was ahead: ours has to begin after it, or is taken for the older.
     """
     return max(known or 0, incarnation) if me.key[1] < incarnation <= now_ns + CLOCKS_NS else known
-
-
-# --- rest or motion ---
-# Does the target rest or move? Each robot asks its own samples, and tells the others what it found.
-#
-# At rest the normalised innovations squared of own samples against the mean of the own samples before them follow chi^2
-# with 3 degrees of freedom each. The reference is the own mean, not the agreed place: a robot that is wrong is wrong in
-# both, and raises no alarm. Moving turns to rest when the track has stayed in one place for half a minute.
-#
-# Samples that scatter by more than they say make this sum large as well; in murky water they do so for as long as a
-# dive lasts. So the sum of a batch is taken apart, with d the innovations, S their covariances and m the mean of the
-# batch,
-#
-# sum d' S^-1 d  =  m' (sum S^-1) m  +  sum (d - m)' S^-1 (d - m)        m = (sum S^-1)^-1 sum S^-1 d
-#
-# What moves shows in the first part, whatever samples scatter by: of five that do nothing else it has a fifth.
-
-BATCH = 5  # samples whose sum is judged; two batches in a row must agree
-MOVED = 37.70  # chi^2, 15 degrees of freedom, 0.999
-# Of that sum, in the mean of the batch. Scatter along one axis, however large, has more in one batch of 26, and twice
-# in a row in one of 700; a target that goes off at one speed has 0.8 in the first batch, and soon nearly all.
-SHIFT = 0.7
-NORMAL = 25.00  # chi^2, 15 degrees of freedom, 0.95
-RESTED_NS = 30_000_000_000  # this long in one place is rest
-REST_SPEED_M_S = 0.002  # mean speed over that time below which the target counts as resting
-
-
-class Innovation(NamedTuple):
-    """An own sample against what the own samples before it said."""
-
-    step_m: Vector
-    covariance_m2: Symmetric  # of that, if nothing changed
-    nis: float  # that step, normalised and squared
-
-
-class Motion(Revertible):
-    """Evidence for and against motion, of one robot in one epoch."""
-
-    def __init__(self) -> None:
-        self._batch: list[Innovation] = []
-        self._alarms = 0
-        self._normal = False  # the last full batch scattered no more than it should
-        self._path: deque[tuple[int, Vector]] = deque()
-
-    def sample(self, innovation: Innovation) -> None:
-        """Take note of one own sample."""
-        self._batch.append(innovation)
-        if len(self._batch) == BATCH:
-            total = sum(each.nis for each in self._batch)
-            moved = total > MOVED and _of_mean(self._batch) > SHIFT * total
-            self._alarms = self._alarms + 1 if moved else 0
-            self._normal = total < NORMAL
-            self._batch = []
-
-    def place(self, now_ns: int, x_m: Vector) -> None:
-        """Take note of where the track is."""
-        self._path.append((now_ns, x_m))
-        while len(self._path) > 1 and now_ns - self._path[1][0] >= RESTED_NS:
-            self._path.popleft()
-
-    @property
-    def moves(self) -> bool:
-        return self._alarms >= 2
-
-    def rests(self, now_ns: int) -> bool:
-        """Whether the track stayed in one place for half a minute, and own samples agree with it."""
-        if not self._normal or not self._path or now_ns - self._path[0][0] < RESTED_NS:
-            return False
-        here, reach = self._path[-1][1], REST_SPEED_M_S * RESTED_NS * 1e-9
-        return all(sum((a - b) ** 2 for a, b in zip(x, here, strict=True)) < reach * reach for _, x in self._path)
-
-
-def _of_mean(batch: list[Innovation]) -> float:
-    """The part of the sum that is due to the mean of the batch."""
-    known = [(invert(each.covariance_m2), each.step_m) for each in batch]
-    information, vector = summed([(precision, apply(precision, step_m)) for precision, step_m in known])
-    return quadratic(invert(information), vector)
 
 
 # --- delivery ledger ---

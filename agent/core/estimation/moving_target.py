@@ -9,18 +9,35 @@ than their covariances say, and vote and doubt are rather too patient than too s
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from functools import partial
+from statistics import median
 
 from agent.core.estimation.evidence_table import Bounds, floored, inside, sample_fault
 from agent.core.estimation.fuse import Ballot, Doubt, Opinion, distances2, doubts, mixture, vote
 from agent.core.estimation.interface import Bearing, Posterior, Prior
-from agent.core.estimation.modes import SEEN_NS, Conclusion, DeliveryLedger, Innovation, Me, outliving
-from agent.core.estimation.track import FixedLagFilter, Held, Track, nis, nis_of_bearing, predict
-from agent.core.linear_algebra import apply, difference, inverse, invert, plus, trace
+from agent.core.estimation.modes import Conclusion, DeliveryLedger, Me, outliving
+from agent.core.estimation.motion import Innovation
+from agent.core.estimation.track import (
+    Dynamics,
+    FixedLagFilter,
+    Held,
+    Track,
+    growth,
+    image,
+    nis,
+    nis_of_bearing,
+    outer,
+    predict,
+    product,
+    square,
+    symmetric_part,
+)
+from agent.core.linear_algebra import add, apply, difference, inverse, invert, minus, plus, times, trace
+from agent.core.link_clocks import OriginClocks, Way
 from agent.core.messages import Epoch, Explain, Gossip, Holding, Sample, Symmetric, Vector
 from agent.core.step_transaction import Revertible
-from agent.core.trust import HEARSAY, OriginClocks, sample_bytes
+from agent.core.trust import HEARSAY, sample_bytes
 
 MATTERS = 0.02  # weight of a track without some robot, below which it is not worth running
 SENT = 48  # samples in one message at most, 185 bytes each: half of what a message may hold
@@ -37,6 +54,7 @@ class MovingTarget(Revertible):
         self._change = 0
         self._agreed = self._filter()
         self._makers: frozenset[str] = frozenset()  # whose samples the agreed track was made of
+        self._course: Track | None = None  # the agreed track as it was concluded last
         self._own: dict[str, FixedLagFilter] = {}
         self._mine: Track | None = None  # through our own samples alone
         self._nis: float | None = None
@@ -78,16 +96,19 @@ class MovingTarget(Revertible):
         self._window.measure((*self._me.key, number), self._newest)
         self._change += 1
 
-    def hear(self, src: str, gossip: Gossip, arrived_ns: int) -> list[str]:
+    def hear(self, src: str, gossip: Gossip, arrived_ns: int, way: Way | None) -> list[str]:
         faults, ledger, samples = [], self._ledgers[src], self._window.samples
-        for sample in sorted(gossip.samples, key=lambda s: (s.origin != src, s.origin not in self._ledgers)):
+        # Samples whose age nobody knows are left, and come again with the first message that echoes a stamp of ours.
+        timed = () if way is None else gossip.samples
+        sent_ns, bound_ns = (arrived_ns, 0) if way is None else (arrived_ns - way.late_ns, way.bound_ns)
+        for sample in sorted(timed, key=lambda s: (s.origin != src, s.origin not in self._ledgers)):
             key = (sample.origin, sample.incarnation, sample.number)
             if key in samples:
-                self._window.earlier(sample, arrived_ns)
+                self._window.earlier(sample, sent_ns)
                 ledger.acknowledge(key, 1)
                 continue
-            fault = self._fault(src, sample, arrived_ns)
-            fault = fault or self._window.merge(sample, arrived_ns, direct=src == sample.origin)
+            fault = self._fault(src, sample, sent_ns)
+            fault = fault or self._window.merge(sample, sent_ns, bound_ns, direct=src == sample.origin)
             if fault is None:
                 ledger.acknowledge(key, 1)
                 self._change += 1
@@ -121,8 +142,11 @@ class MovingTarget(Revertible):
         self._makers, self._agreed = frozenset(), self._filter()  # what they said is in the agreed track
         self._change += 1
 
-    def seeing(self, now_ns: int) -> int:
-        return len({key[0] for key, held in self._window.samples.items() if now_ns - held.t_ns <= SEEN_NS})
+    def measured_ns(self) -> Mapping[str, int]:
+        found: dict[str, int] = {}
+        for (origin, _, _), held in self._window.samples.items():
+            found[origin] = max(held.t_ns, found.get(origin, held.t_ns))
+        return found
 
     def restarted(self, src: str) -> None:
         self._ledgers[src].forget()
@@ -138,7 +162,7 @@ class MovingTarget(Revertible):
         )
 
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
-        fresh, horizon_ns = self._window.fresh(), self._window.horizon_ns(now_ns)
+        fresh, horizon_ns = self._timed(self._window.fresh()), self._window.horizon_ns(now_ns)
         for ledger in self._ledgers.values():
             ledger.drop(self._window.samples)
         tracks = self._tracks(fresh, horizon_ns, now_ns)
@@ -152,6 +176,7 @@ class MovingTarget(Revertible):
         if track is not None and ballot is not None:
             posterior = _doubted(track, doubt, {n: fresh[n] for n in fresh if n in ballot.group}, self._filter, now_ns)
         self._window.freeze(horizon_ns)
+        self._course = track or self._course
         believable = posterior is not None and inside(posterior.x_m, self._me.bounds.tank_m)
         if track is None or ballot is None or posterior is None or not believable:
             # Not seen for a whole window, or out of the tank: the last place is a better guess than an old speed.
@@ -171,7 +196,15 @@ class MovingTarget(Revertible):
         if ballot.verdict == "ambiguous":
             alone = _posterior(self._mine) if valid and self._mine is not None else before
             return Conclusion(alone or posterior, "ambiguous", alpha, explain)
-        return Conclusion(posterior, "track", alpha, explain)
+        cov_m2 = plus(posterior.cov_m2, _of_ways(track, fresh, shares))
+        return Conclusion(posterior._replace(cov_m2=cov_m2), "track", alpha, explain)
+
+    def _timed(self, fresh: dict[str, list[Held]]) -> dict[str, list[Held]]:
+        """Samples with what is not known of when they were taken. It weakens them here, and is never passed on."""
+        v_m_s = (0.0, 0.0, 0.0) if self._course is None else self._course.v_m_s
+        speed_m_s = 0.5 * self._me.dynamics.first_speed_m_s
+        of_speed = plus(outer(v_m_s), times(speed_m_s * speed_m_s, self._me.dynamics.axes))
+        return {name: [_blurred(held, of_speed) for held in of] for name, of in fresh.items()}
 
     def by_others(self) -> Posterior | None:
         return None  # a place that the target moves on from is known less well than the robot's own
@@ -195,6 +228,23 @@ class MovingTarget(Revertible):
         assert self._newest is not None
         a, b = track.A, self._newest.information
         return (a[0] * b[0] + a[3] * b[3] + a[5] * b[5] + 2.0 * (a[1] * b[1] + a[2] * b[2] + a[4] * b[4])) / 3.0
+
+
+def unseen(believed: Posterior, dynamics: Dynamics, tank_m: Vector, now_ns: int) -> Posterior:
+    """What is known at now_ns of where a target is that was last known at believed.t_ns: that place, and how far it can
+    have gone since; nothing is assumed of its course, but that it is in the tank, in each axis anywhere alike."""
+    h_s = (now_ns - believed.t_ns) * 1e-9
+    if h_s <= 0.0:
+        return believed
+    reach_m, place_m2 = dynamics.first_speed_m_s * h_s, 0.0
+    if math.isfinite(dynamics.turn_s):
+        by = growth(dynamics, h_s)
+        reach_m, place_m2 = by.reach_s * dynamics.first_speed_m_s, by.place_m2
+    information = invert(plus(believed.cov_m2, times(place_m2 + reach_m * reach_m, dynamics.axes)))
+    x, y, z = (12.0 / (size * size) for size in tank_m)
+    covariance = invert(plus(information, (x, 0.0, 0.0, y, 0.0, z)))
+    known = add(apply(information, believed.x_m), 1.0, (6.0 / tank_m[0], 6.0 / tank_m[1], 6.0 / tank_m[2]))
+    return believed._replace(x_m=apply(covariance, known), cov_m2=covariance)
 
 
 def _posterior(track: Track) -> Posterior:
@@ -221,6 +271,36 @@ def _doubted(
     return Posterior(*mixture([(certain, track.x_m, track.A), *places]), track.v_m_s, track.t_ns)
 
 
+# When a sample was taken is not known exactly, and where the target was then as little as it is fast. The ways of
+# messages are as wrong in one sample as in the next, so this weakens each sample, and widens what is concluded of all.
+
+SHORT_M = 0.0005  # no sample is made weaker for less
+
+
+def _blurred(held: Held, of_speed: Symmetric) -> Held:
+    """The sample with covariance R + tau^2 M, tau^2 = unsure^2 / 3: L' = L - L (L + (tau^2 M)^-1)^-1 L, for lines too.
+
+    of_speed: M, m^2/s^2: the square of the speed as it is believed, and a part of what it may be.
+    """
+    m2 = times((held.unsure_ns * 1e-9) ** 2 / 3.0, of_speed)
+    if trace(m2) < SHORT_M * SHORT_M:
+        return held
+    L = held.information
+    taken = product(square(L), square(invert(plus(L, invert(m2)))))  # L (L + (tau^2 M)^-1)^-1
+    x, y, z = image(taken, held.vector)
+    vx, vy, vz = held.vector
+    information = minus(L, symmetric_part(product(taken, square(L))))
+    return held._replace(information=information, vector=(vx - x, vy - y, vz - z))
+
+
+def _of_ways(track: Track, fresh: dict[str, list[Held]], shares: dict[str, float]) -> Symmetric:
+    """What the ways of all samples together leave unknown of where the target is, m^2."""
+    unsure_s = math.fsum(
+        share * median(held.unsure_ns for held in fresh[name]) * 1e-9 for name, share in shares.items() if fresh[name]
+    )
+    return times(unsure_s * unsure_s / 3.0, plus(outer(track.v_m_s), track.D))
+
+
 def _shares(fresh: dict[str, list[Held]], factors: dict[str, float]) -> dict[str, float]:
     """Share of each origin that agrees in the information of the window, times its factor; sum 1."""
     sizes = {name: factors[name] * math.fsum(trace(held.information) for held in fresh[name]) for name in factors}
@@ -234,9 +314,10 @@ def _shares(fresh: dict[str, list[Held]], factors: dict[str, float]) -> dict[str
 # A sample may arrive late and out of order, over other robots. One that comes after its moment has left the window
 # (`FixedLagFilter`) is of no use any more, neither here nor to a neighbour.
 #
-# Clocks need not agree. A sample carries its age; every robot that passes it on adds the time it lay there, and the
-# cache adds the time it lay in a queue. It also carries when it was taken on its origin's clock, which no relay can
-# change: what we learn of that clock from one sample holds for the next (`OriginClocks`).
+# Clocks need not agree. A sample carries its age; every robot that passes it on adds the time it lay there, and who
+# hears it the time of its way, with what is not known of that (`LinkClock`). It also carries when it was taken on its
+# origin's clock, which no relay can change: what we learn of that clock from one sample holds for the next
+# (`OriginClocks`).
 
 Key = tuple[str, int, int]  # origin, incarnation, number
 
@@ -260,30 +341,33 @@ class Window(Revertible):
         if held.t_ns > self._frozen_ns:
             self.samples[key] = held
 
-    def fault(self, sample: Sample, arrived_ns: int) -> str | None:
-        """Why a sample that left its sender at `arrived_ns` of our clock is of no use, from any source."""
-        fault = sample_fault(sample, self._bounds, arrived_ns)
-        if fault is None and arrived_ns - sample.age_ns <= self._frozen_ns:
+    def fault(self, sample: Sample, sent_ns: int) -> str | None:
+        """Why a sample that left its sender at `sent_ns` of our clock is of no use, from any source."""
+        fault = sample_fault(sample, self._bounds, sent_ns)
+        if fault is None and sent_ns - sample.age_ns <= self._frozen_ns:
             return "too late"
         return fault
 
-    def earlier(self, sample: Sample, arrived_ns: int) -> None:
+    def earlier(self, sample: Sample, sent_ns: int) -> None:
         """Take note of a copy of a sample. A larger age counts, where the sample has no time by its origin's clock."""
-        key, t_ns = (sample.origin, sample.incarnation, sample.number), arrived_ns - sample.age_ns
+        key, t_ns = (sample.origin, sample.incarnation, sample.number), sent_ns - sample.age_ns
         old = self.samples[key]
         if not old.exposed_ns and self._frozen_ns < t_ns < old.t_ns:
             self.samples[key] = old._replace(t_ns=t_ns)
 
-    def merge(self, sample: Sample, arrived_ns: int, direct: bool) -> str | None:
-        """Take in a sample that is believed; returns why it is of no use, if it is not. direct: from its own robot."""
-        t_ns = arrived_ns - sample.age_ns
+    def merge(self, sample: Sample, sent_ns: int, bound_ns: int, direct: bool) -> str | None:
+        """Take in a sample that is believed; returns why it is of no use, if it is not.
+
+        sent_ns: when its message was sent, on our clock, to within bound_ns. direct: from its own robot.
+        """
+        t_ns, unsure_ns = sent_ns - sample.age_ns, sample.unsure_ns + bound_ns
         if sample.t_ns:
-            offset_ns = self._clocks.offset_ns(sample.origin, t_ns - sample.t_ns, direct, arrived_ns)
-            t_ns = min(sample.t_ns + offset_ns, arrived_ns)
+            clock = self._clocks.offset(sample.origin, t_ns - sample.t_ns, unsure_ns, direct, sent_ns)
+            t_ns, unsure_ns = min(sample.t_ns + clock.offset_ns, sent_ns), clock.bound_ns
         if t_ns <= self._frozen_ns:
             return "too late"
         key = (sample.origin, sample.incarnation, sample.number)
-        self.samples[key] = Held(t_ns, sample.information, sample.vector, sample.t_ns, sample.signature)
+        self.samples[key] = Held(t_ns, sample.information, sample.vector, sample.t_ns, sample.signature, unsure_ns)
         numbers = sorted(k for k in self.samples if k[0] == sample.origin)
         for old in numbers[:-KEPT]:
             del self.samples[old]
@@ -321,7 +405,8 @@ class Window(Revertible):
         """A sample as it leaves now."""
         held = self.samples[key]
         age_ns = max(0, now_ns - held.t_ns)
-        return Sample(*key, age_ns, held.information, held.vector, held.exposed_ns, held.signature)
+        L, vector, when_ns = held.information, held.vector, held.exposed_ns
+        return Sample(*key, age_ns, L, vector, when_ns, held.signature, held.unsure_ns)
 
     def digest(self) -> list[Holding]:
         """One line for each origin and incarnation."""

@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from agent.core.config import Cues, Target
 from agent.core.estimation.interface import Bearing
-from agent.core.linear_algebra import ZERO, cross, plus, times
+from agent.core.linear_algebra import ZERO, cross, difference, plus, times
 from agent.core.messages import Symmetric, Vector
 from agent.core.ranging.camera_model import (
     Calibration,
@@ -25,11 +25,14 @@ from agent.core.ranging.camera_model import (
     apply,
     at_lens_position,
     centre_behind_skin_m,
+    pixel,
     ray,
     slopes_per_px,
+    to_camera,
 )
 from agent.core.ranging.focus import at_tilt, h, range_variance
 from agent.core.target_state import bearing, ranged
+from agent.core.verdict import Ratio
 
 # Uncertainty of the robot's own pose; figures of the twin, which took them from tape measures and cheap sensors.
 PLACE_SIGMA_M = 0.0014  # x and y: surveyed to 1 mm, and moored to 1 mm
@@ -46,6 +49,7 @@ class Fix(NamedTuple):
     random_m2: Symmetric  # averages out over measurements
     systematic_m2: Symmetric  # does not: calibration and survey, the same in every measurement of this robot
     focus_share: float = 1.0  # of the range, by focus; the rest by size
+    lever_m: Vector = (0.0, 0.0, 0.0)  # from the camera to there
 
     @property
     def covariance_m2(self) -> Symmetric:
@@ -100,7 +104,8 @@ def locate(
     if own is not None:
         random_m2 = plus(random_m2, times(own.kappa, carried(arm, own.fluctuates)))
         systematic_m2 = plus(systematic_m2, carried(arm, own.stays))
-    return Fix((x, y, z), random_m2, systematic_m2, d.focus_share)
+    lever_m = difference((x, y, z), eye.position_m)
+    return Fix((x, y, z), random_m2, systematic_m2, d.focus_share, lever_m)
 
 
 def _slope_shift(e: Vector, r: Vector, m_e: float, m_z: float, d: Range) -> Vector:
@@ -140,6 +145,7 @@ EDGE_NOISE_PX = 0.03
 ARC_POWER = 1.5  # where vision states no sigma, share ** -1.5 times as much: 0.25 px of half an outline
 CENTRE_NOISE_PX = 0.1  # of the middle of an outline, beside the residual of the camera's calibration
 WARMTH = 0.005  # peak half-widths by which the lens moves as its coil warms up: a tenth of a micrometre
+FARTHEST_M = 1.2  # so far a target is found in most kinds of water
 DISAGREE = 5.0  # standard deviations of their difference beyond which focus and size do not speak of one ball
 
 
@@ -147,6 +153,7 @@ class NoRange(NamedTuple):
     """What was seen gives no range, or two that contradict each other."""
 
     reason: str
+    contradicts: bool = False
 
 
 class Outline(NamedTuple):
@@ -190,6 +197,22 @@ def distance(
         return NoRange(f"peak at {rho:.0f} is sharp beyond all ranges")
     alone = cues == "focus" or ball.radius_m is None
     return focus if alone else fuse(focus, size_range(camera, outline, ball))
+
+
+def cue_ratio(
+    calibration: Calibration, outline: Outline, rho: float, sigma_rho: float, ball: Target, tilt_rad: float
+) -> Ratio | None:
+    """How the range by focus stands to that by size; None where one of them is missing."""
+    camera = at_lens_position(calibration.camera, outline.lens_position)
+    focus = focus_range(calibration.focus, camera, outline.centre_px, rho, sigma_rho, ball, tilt_rad)
+    if focus is None or ball.radius_m is None or outline.radius_px is None:
+        return None
+    size = size_range(camera, outline, ball)
+    random, systematic = (
+        (f / focus.distance_m**2 + s / size.distance_m**2)
+        for f, s in ((focus.random_m2, size.random_m2), (focus.systematic_m2, size.systematic_m2))
+    )
+    return Ratio(math.log(focus.distance_m / size.distance_m), random, systematic)
 
 
 def focus_range(
@@ -253,7 +276,8 @@ def fuse(focus: Range, size: Range) -> Range | NoRange:
     if apart_m * apart_m > DISAGREE * DISAGREE * both:
         return NoRange(
             f"focus says {focus.distance_m:.3f} m, size {size.distance_m:.3f} m, {abs(apart_m) / math.sqrt(both):.0f} "
-            "standard deviations apart; check the target's radius_m, or calibrate again"
+            "standard deviations apart; check the target's radius_m, or calibrate again",
+            contradicts=True,
         )
     w = size.variance_m2 / both
     v = 1.0 - w
@@ -263,6 +287,20 @@ def fuse(focus: Range, size: Range) -> Range | NoRange:
         w * w * focus.systematic_m2 + v * v * size.systematic_m2,
         focus_share=w,
     )
+
+
+def shows_whole(calibration: Calibration, eye: Eye, target: Target, x_m: Vector, covariance_m2: Symmetric) -> bool:
+    """Whether a camera there has all of a target in its picture, in reach of its lens, wherever it is by 3 sigma."""
+    camera, fit = calibration.camera, calibration.focus
+    at = to_camera(eye, x_m)
+    centre_px, nearest_m = pixel(camera, at), h(fit, fit.highest)
+    sigma_m = math.sqrt(max(covariance_m2[0], covariance_m2[3], covariance_m2[5]))
+    size_m = target.radius_m or 0.5 * (target.length_m or 0.0)
+    if centre_px is None or nearest_m is None or not max(nearest_m, 3.0 * sigma_m) < at[2] < FARTHEST_M:
+        return False
+    rim_px = camera.f_px * (size_m + 3.0 * sigma_m) / at[2]
+    u, v = centre_px
+    return rim_px < min(u, camera.width_px - u, v, camera.height_px - v)
 
 
 # --- uncertainty of the robot's own pose ---

@@ -331,6 +331,7 @@ class Swarm:
                     target=TARGET,
                     t=self.robots[i].t,
                     valid=self.robots[i].valid,
+                    echo=self._boxes[i].echo(self._names[j], now_ns),
                     **word._asdict(),
                 )
                 said = self.tamper(i, estimate)

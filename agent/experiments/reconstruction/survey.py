@@ -21,7 +21,7 @@ from agent.experiments.claim import Claim, Figure, Row, Rows, Value
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import CAMERA, START_NS, Bodies, PlanarBodies
 from agent.experiments.navigation.swimmers import FOCUS, LATE_STEPS, Eyes, Frame, Swimmers
-from agent.experiments.reconstruction.drawn_scene import Scene, draw_scene, found_in, look
+from agent.experiments.reconstruction.coverage import Scene, draw_scene, found_in, look
 from hw.twin.camera_device import look as eye_of
 from hw.twin.scene import generator
 

@@ -13,7 +13,7 @@ from msgspec.structs import replace
 from agent.core.config import Fleet, Lighting
 from agent.experiments.navigation.basin import START_NS
 from agent.experiments.navigation.swimmers import Swimmers
-from agent.experiments.reconstruction.drawn_scene import draw_scene
+from agent.experiments.reconstruction.coverage import draw_scene
 from agent.experiments.reconstruction.survey import SurveyEyes, WideBodies, swimming_fleet
 from tests.capabilities.light.lit_swarm import HARBOUR
 

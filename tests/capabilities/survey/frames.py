@@ -7,8 +7,16 @@ from agent.capabilities.survey.survey import lens_of, sigma_of
 from agent.core.capability_messages import Blocks, Frame, place_of, quantised
 from agent.core.ranging.camera_model import Calibration
 from agent.experiments.navigation.swimmers import FOCUS
-from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, SURVEY_CAMERA, fleet_of, gimbal_eye, sigma_m
-from agent.experiments.reconstruction.drawn_scene import draw_scene, look
+from agent.experiments.reconstruction.coverage import (
+    SIZE_M,
+    SURFACE_M,
+    SURVEY_CAMERA,
+    draw_scene,
+    fleet_of,
+    gimbal_eye,
+    look,
+    sigma_m,
+)
 
 FLEET = fleet_of()
 GRID: Grid = grid_of(FLEET)

@@ -23,8 +23,16 @@ from agent.capabilities.survey.survey import APART_M, CLAIMS_EACH_STEP, EACH_STE
 from agent.core.capability_messages import Blocks, Frame, quantised
 from agent.core.config import Body, Navigation, Pose
 from agent.core.ranging.camera_model import Calibration
-from agent.experiments.reconstruction.coverage import PLACES, SIZE_M, SURFACE_M, SURVEY_CAMERA, fleet_of, sigma_m
-from agent.experiments.reconstruction.drawn_scene import draw_scene, look
+from agent.experiments.reconstruction.coverage import (
+    PLACES,
+    SIZE_M,
+    SURFACE_M,
+    SURVEY_CAMERA,
+    draw_scene,
+    fleet_of,
+    look,
+    sigma_m,
+)
 from tests.capabilities.survey.frames import GRID, LENS, ROWS, SIGMA
 from tests.known_lens import PLAIN
 

@@ -31,8 +31,7 @@ from agent.capabilities.survey.coverage_map import (
 from agent.core.capability_messages import SIGMAS_M, UNIT_M, Frame, Keyframe, View, measured, place_of, sigma_byte
 from agent.core.codec import encode
 from agent.core.topics import KEYFRAME
-from agent.experiments.reconstruction.coverage import SURVEY_CAMERA, gimbal_eye
-from agent.experiments.reconstruction.drawn_scene import look
+from agent.experiments.reconstruction.coverage import SURVEY_CAMERA, gimbal_eye, look
 from tests.capabilities.survey.frames import FLEET, GRID, LENS, ROWS, SCENE, SIGMA, drawn_frames, frame
 
 FRAMES = drawn_frames(12)

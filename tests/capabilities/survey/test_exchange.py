@@ -14,8 +14,7 @@ from agent.core.codec import Refusal, decode, encode
 from agent.core.config import Fleet
 from agent.core.step_io import Heard, Inputs, Said
 from agent.core.topics import KEYFRAME
-from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, fleet_of
-from agent.experiments.reconstruction.drawn_scene import draw_scene
+from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, draw_scene, fleet_of
 from agent.process.keys import signing
 from agent.robot.step import Agent
 from tests.capabilities.survey.frames import FLEET, GRID, LENS, ROWS, drawn_frames

@@ -7,6 +7,7 @@ import pytest
 from msgspec import UNSET
 from msgspec.structs import replace
 
+from agent.capabilities.swim import localizer
 from agent.capabilities.swim.localizer import (
     LAG_NS,
     LATE_NS,
@@ -24,6 +25,8 @@ from agent.capabilities.swim.localizer import (
     within,
 )
 from agent.capabilities.swim.pose_filter import BIAS, Drift, Hull, begin, predict
+from agent.capabilities.swim.swim import swimmer_of
+from agent.capabilities.swim.tag_fix import NoFix
 from agent.core.attitude import Attitude
 from agent.core.config import Body, Camera, Navigation
 from agent.core.ranging.camera_model import servos_us
@@ -72,6 +75,50 @@ def test_no_fix_by_a_rolling_shutter_while_the_robot_turns() -> None:
         one._ring._settled[-1] = began._replace(x=(*began.x[:5], math.radians(20.0), *began.x[6:]))
         one.see(SeenTags(t_ns=10**9 + 1_000_000, frame=2, tags=tuple(sight(THETA))), LEVEL)
         assert (one.refused == "") is taken and (len(one.events) == 1) is taken
+
+
+@pytest.mark.parametrize(
+    ("strange", "frames", "said"),
+    [
+        (4, 9, None),  # too few to say
+        (1, 10, None),
+        (2, 10, "tags: suspect: 20 % of the frames with tags give no place: "),
+        (8, 20, "tags: suspect: 40 % of the frames with tags give no place: "),
+        (12, 25, "tags: contradicted: 48 % of the frames with tags give no place: "),
+    ],
+)
+def test_it_says_which_share_of_the_frames_with_tags_gives_no_place(strange, frames, said) -> None:
+    one = Localizer(fleet(), CALIBRATION)
+    for k in range(frames):
+        tags = tuple(replace(tag, id=tag.id + 500 * (k >= frames - strange)) for tag in sight(THETA))
+        one.see(SeenTags(t_ns=10**9 + k * 10**8, frame=k, tags=tags), LEVEL)
+    one.advance(10**9 + frames * 10**8)
+    assert one.fault() == (said and said + "check tag size, map, lens or water level")
+    one.advance(10**9 + 29 * SECOND)
+    assert (one.fault() is None) is (said is None)
+    one.advance(10**9 + 29 * SECOND + frames * 10**8 + 2 * SECOND)
+    assert one.fault() is None, "of the last 30 s there is none"
+
+
+def test_neither_a_turning_robot_nor_two_possible_poses_speak_against_the_tags(monkeypatch) -> None:
+    one = Localizer(replace(fleet(), camera=Camera(row_time_us=60.0)), CALIBRATION)
+    one.see(SeenTags(t_ns=10**9, frame=0, tags=tuple(sight(THETA))), LEVEL)
+    began = one._ring._settled[-1]
+    one._ring._settled[-1] = began._replace(x=(*began.x[:5], math.radians(20.0), *began.x[6:]))
+    for k in range(20):
+        one.see(SeenTags(t_ns=10**9 + 1000 * (k + 1), frame=k, tags=tuple(sight(THETA))), LEVEL)
+    assert "turns too fast" in one.refused and one.fault() is None
+    monkeypatch.setattr(localizer, "first_fix", lambda *_: NoFix("two poses", ambiguous=True))
+    lost = Localizer(fleet(), CALIBRATION)
+    for k in range(20):
+        lost.see(SeenTags(t_ns=10**9 + k * 10**8, frame=k, tags=tuple(sight(THETA))), LEVEL)
+    assert lost.refused == "two poses" and lost.fault() is None
+
+
+def test_a_robot_that_swims_says_what_is_wrong_with_its_tags() -> None:
+    tank = InTank(fleet())
+    swimmer_of(tank.agent.capabilities).localizer._judged.extend((START_NS, True) for _ in range(20))
+    assert any(fault.startswith("tags: contradicted: ") for fault in tank.agent.equipment.faults(START_NS))
 
 
 # --- gimbal log ---

@@ -10,10 +10,10 @@ from msgspec import UNSET
 from agent.capabilities.swim.pursuit import carried_on
 from agent.core.config import Estimation, Follow, Hold, Look, Pose
 from agent.core.estimation.interface import NOTHING, Posterior
+from agent.core.estimation.moving_target import unseen
 from agent.core.estimation.protocols import PURSUIT_S, iteration_ns, pursued
 from agent.core.estimation.track import ROLLING, swimming
 from agent.core.ranging.focus import h
-from agent.core.target_state import grown
 from agent.experiments.following_dive import Wanderer
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import START_NS, PlanarBodies
@@ -61,16 +61,24 @@ def test_a_belief_is_carried_on_as_what_swims_forgets_its_course() -> None:
 
 
 def test_what_nobody_sees_any_more_may_be_farther_and_farther_away() -> None:
-    """To v_rms T in the end, and as sqrt(t) from then on; what rolls is left alone."""
+    """To v_rms T in the end, and as sqrt(t) from then on; what rolls may go any way."""
     believed = Posterior((1.0, 2.0, 0.3), (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4), (0.2, 0.0, 0.0), 10 * S)
     moves = swimming(0.15, 2.0)
-    sigmas = [math.sqrt(grown(believed, moves, (10 + t) * S)[0]) for t in (0, 1, 4, 16)]
-    assert sigmas[0] == pytest.approx(0.01) and sigmas[1] == pytest.approx(
-        math.hypot(0.01, 0.15 / math.sqrt(2)), rel=0.3
-    )
+    basin_m = (1e3, 1e3, 1e3)  # so large that it says nothing
+    sigmas = [math.sqrt(unseen(believed, moves, basin_m, (10 + t) * S).cov_m2[0]) for t in (0, 1, 4, 16)]
+    assert sigmas[0] == pytest.approx(0.01)
+    assert sigmas[1] == pytest.approx(math.hypot(0.01, 0.15 / math.sqrt(2)), rel=0.3)
     assert sigmas[3] == pytest.approx(2.0 * sigmas[2], rel=0.3)
-    assert grown(believed, ROLLING, 20 * S) == believed.cov_m2
-    assert grown(believed._replace(t_ns=0), moves, 20 * S) == believed.cov_m2
+    rolls = unseen(believed, ROLLING, basin_m, 20 * S)
+    assert math.sqrt(rolls.cov_m2[0]) == pytest.approx(10.0 * ROLLING.first_speed_m_s, rel=0.01)
+    assert rolls.x_m == pytest.approx(believed.x_m, abs=0.01), "it may have been rolled any way"
+
+
+def test_a_target_that_is_not_seen_is_in_the_tank_at_least() -> None:
+    believed, tank_m = Posterior((0.2, 2.0, 0.3), (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4), t_ns=10 * S), (3.0, 2.4, 0.6)
+    late = unseen(believed, swimming(0.15, 2.0), tank_m, 3600 * S)
+    assert late.x_m == pytest.approx((1.5, 1.2, 0.3), abs=0.05)
+    assert math.sqrt(late.cov_m2[0]) == pytest.approx(3.0 / math.sqrt(12.0), rel=0.05)
 
 
 def test_two_robots_find_a_target_by_their_frames_and_go_with_it() -> None:

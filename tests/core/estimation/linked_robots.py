@@ -74,6 +74,7 @@ class Net:
     def letter(self, src, dst) -> bytes:
         robot = self.robots[src]
         about = {"incarnation": self.start[src], "seq": self.seq, "sent_ns": self.now_ns}
+        about["echo"] = self.boxes[src].echo(dst, self.now_ns)
         word = robot.say(dst, self.now_ns)._asdict()
         said = estimate(src, dst, t=robot.t, valid=robot.valid, **about, **word)
         return encode(SIGN[src](said) if self.signed else said)

@@ -289,7 +289,7 @@ def heard_by(name, order=ORIGINS):
         if key[0] == "r1":
             state._table.merge(table.entries[key])  # its own, of an earlier start: it comes back signed
         else:
-            state.hear(key[0], Gossip(Epoch(), entries=(table.entries[key],)), S)
+            state.hear(key[0], Gossip(Epoch(), entries=(table.entries[key],)), S, None)
     return state
 
 
@@ -323,9 +323,9 @@ def test_nobody_else_and_others_that_contradict_each_other() -> None:
     far.measure(("r2", 1), Prior((0.3, 0.5, 0.1), (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), 0))
     near.measure(("r3", 1), Prior((0.7, 0.5, 0.1), (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), 0))
     state = heard_by("r1", ORIGINS[:2])
-    state.hear("r2", Gossip(Epoch(), entries=tuple(far.entries.values())), S)
+    state.hear("r2", Gossip(Epoch(), entries=tuple(far.entries.values())), S, None)
     assert state.by_others().x_m == pytest.approx((0.3, 0.5, 0.1))
-    state.hear("r3", Gossip(Epoch(), entries=tuple(near.entries.values())), S)
+    state.hear("r3", Gossip(Epoch(), entries=tuple(near.entries.values())), S, None)
     assert state.by_others() is None
 
 

@@ -9,8 +9,9 @@ import pytest
 from agent.core.codec import Refusal, decode, encode
 from agent.core.estimation.evidence_table import INCARNATIONS
 from agent.core.estimation.interface import EstimateCache, Prior
+from agent.core.link_clocks import CLOCKS_NS
 from agent.core.messages import Entry, Estimate, Gossip
-from agent.core.trust import CLOCKS_NS, CachedMessage
+from agent.core.trust import CachedMessage
 from tests.core.estimation.linked_robots import COV, NAMES, PUBLIC, SECOND_NS, SIGN, Net
 from tests.sample_messages import estimate
 
@@ -173,4 +174,4 @@ def test_a_schema_as_deep_as_the_stack_is_no_message() -> None:
         decode(bomb, Estimate)
     assert len(str(caught.value)) < 200
     with pytest.raises(Refusal):
-        decode(encode(estimate("r1", "r2")).replace(b"\xa6schema\x02", b"\xa6schema\x80"), Estimate)
+        decode(encode(estimate("r1", "r2")).replace(b"\xa6schema\x03", b"\xa6schema\x80"), Estimate)

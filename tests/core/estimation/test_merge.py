@@ -12,8 +12,8 @@ from agent.core.estimation.evidence_table import FIRST, INCARNATIONS, Bounds, Ta
 from agent.core.estimation.fuse import fuse
 from agent.core.estimation.interface import Prior
 from agent.core.linear_algebra import plus, times
+from agent.core.link_clocks import CLOCKS_NS
 from agent.core.messages import Entry
-from agent.core.trust import CLOCKS_NS
 
 BOUNDS = Bounds(frozenset({"r1", "r2", "r3"}), (1.5, 1.2, 0.8), 1_000_000_000)
 COV = (1e-4, 0.0, 0.0, 4e-4, 1e-5, 1e-4)

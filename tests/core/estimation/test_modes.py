@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 
 from agent.core.estimation.evidence_table import Bounds
 from agent.core.estimation.interface import Prior
-from agent.core.estimation.modes import BATCH, DIGEST_NS, LINES, DeliveryLedger, Innovation, Motion
+from agent.core.estimation.modes import DIGEST_NS, LINES, DeliveryLedger
+from agent.core.estimation.motion import BATCH, Innovation, Motion
 from agent.core.estimation.moving_target import WINDOW, Window
 from agent.core.estimation.track import ROLLING, FixedLagFilter, Held, begin, correct, nis, predict
 from agent.core.linear_algebra import apply, inverse, upper
@@ -102,7 +103,7 @@ def take(window, sample, arrived_ns):
     """What a robot does with a neighbour's sample; returns what is wrong with it."""
     if (sample.origin, sample.incarnation, sample.number) in window.samples:
         return window.earlier(sample, arrived_ns)
-    return window.fault(sample, arrived_ns) or window.merge(sample, arrived_ns, direct=False)
+    return window.fault(sample, arrived_ns) or window.merge(sample, arrived_ns, 0, direct=False)
 
 
 def kalman(samples):
@@ -198,46 +199,10 @@ def test_a_digest_names_each_sample_that_is_held() -> None:
     assert line.older == 0b1100  # 6 and 5 are missing, 4 and 3 are there
 
 
-def innovation(*steps_m) -> Innovation:
-    """Of a sample that is known to 10 mm each way."""
-    return Innovation(steps_m, upper(0.01**2 * np.eye(3)), sum((step_m / 0.01) ** 2 for step_m in steps_m))
-
-
-def alarms(steps) -> int:
-    """Batches at whose end two in a row spoke of motion."""
-    motion, found = Motion(), 0
-    for k, step in enumerate(steps):
-        motion.sample(innovation(*step))
-        found += motion.moves and k % BATCH == BATCH - 1
-    return found
-
-
-def test_rest_raises_no_alarm_and_motion_does() -> None:
-    random = Random(1)
-    assert not alarms([random.gauss(0, 0.01) for _ in range(3)] for _ in range(2000 * BATCH))
-    assert alarms((0.02, 0.02, 0.02) for _ in range(2 * BATCH))
-
-
-@pytest.mark.parametrize(("axes", "most"), [(3, 0), (1, 8)])
-def test_samples_that_scatter_by_four_times_what_they_say_are_no_motion(axes, most) -> None:
-    """Along one axis, as a camera's in murky water do, five can happen to lie on one side: 2.8 of 2000 batches."""
-    random = Random(2)
-    steps = ([random.gauss(0, 0.04) * (axis < axes) for axis in range(3)] for _ in range(2000 * BATCH))
-    assert alarms(steps) <= most
-
-
-@pytest.mark.parametrize("speed_m_s", [0.02, 0.05])
-def test_a_target_that_goes_off_is_noticed_however_its_samples_scatter(speed_m_s) -> None:
-    random = Random(3)
-    noise = [[random.gauss(0, 0.04), random.gauss(0, 0.01), random.gauss(0, 0.01)] for _ in range(6 * BATCH)]
-    goes = ((x + speed_m_s * max(k - 3 * BATCH, 0), y, z) for k, (x, y, z) in enumerate(noise))
-    assert alarms(goes)
-
-
 def test_half_a_minute_in_one_place_is_rest() -> None:
-    motion = Motion()
+    motion, step = Motion(), (0.01, 0.01, 0.01)
     for _ in range(BATCH):
-        motion.sample(innovation(0.01, 0.01, 0.01))
+        motion.tracked(Innovation(step, upper(0.01**2 * np.eye(3)), 3.0))
     for t in range(40):
         motion.place(t * SECOND_NS, (0.5 + 0.02 * t, 0.5, 0.1))
     assert not motion.rests(39 * SECOND_NS)

@@ -26,7 +26,7 @@ from agent.core.step_transaction import Savepoint
 from agent.core.topics import CLAIM, KEYFRAME, LIGHT, NEAR, Topic
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.experiments.reconstruction import coverage
-from agent.experiments.reconstruction.drawn_scene import draw_scene
+from agent.experiments.reconstruction.coverage import draw_scene
 from agent.experiments.reconstruction.survey import SurveyEyes, WideBodies, swimming_fleet
 from agent.robot.step import Agent
 from tests.capabilities.light.dark_survey import DarkSurvey

@@ -1,6 +1,11 @@
 """From a row of the network to a message of the page, and what is shown to nobody."""
 
 import json
+import re
+import shutil
+import subprocess
+from importlib import resources
+from typing import Any
 
 import pytest
 
@@ -8,6 +13,7 @@ from agent.core.capability_messages import TURN_ONE, Claim, Has, Lens, View
 from agent.core.codec import Refusal, encode
 from agent.core.messages import Answer
 from agent.core.topics import ANSWER, CLAIM, IMAGE, LIGHT, LINK, LOG, NEAR, STATE
+from agent.core.verdict import ORDER
 from agent.ground.page.rows import KEPT, MOST_KEYS, Board, Rows, Viewer, text
 from tests.ground.page.shown import FLEET, NOW_NS, image, log, received, row, state
 from tests.sample_messages import estimate, presence
@@ -21,6 +27,62 @@ def test_a_state_says_which_one_it_is_to_the_last_digit() -> None:
     assert shown["seen"] == [str(NOW_NS - 5), str(NOW_NS)]
     assert shown["sent_ms"] == pytest.approx(NOW_NS * 1e-6, abs=1e-3)
     assert not [name for name in shown if name.endswith("_ns")], "no number that JavaScript would round"
+
+
+# --- whether a belief can be trusted ---
+
+CAUSE = "all ranges are 2.0 % (+-0.2) long: check radius_m"
+PAGE = resources.files("agent.ground.page").joinpath("index.html").read_text(encoding="utf-8")
+NODE = shutil.which("node")
+
+
+def run_of_page(call: str) -> Any:
+    """What a call gives of the page's own words; they need no browser."""
+    words = re.findall(r"^const (?:fix|millimetres|list) = .*$", PAGE, re.MULTILINE)
+    (trust,) = re.findall(r"^(const TRUST = .*?)^function doing", PAGE, re.MULTILINE | re.DOTALL)
+    script = "\n".join([*words, trust, f"console.log(JSON.stringify({call}))"])
+    return json.loads(subprocess.run([NODE, "-e", script], check=True, capture_output=True, text=True).stdout)
+
+
+def test_the_word_and_its_causes_go_with_the_state() -> None:
+    said = state(verdict="contradicted", causes=(CAUSE,))
+    shown = json.loads(ROWS.message(*row(said, STATE, robot="r1", target="ball")))
+    assert (shown["verdict"], shown["causes"]) == ("contradicted", [CAUSE])
+    fine = json.loads(ROWS.message(*row(state(), STATE, robot="r1", target="ball")))
+    assert (fine["verdict"], fine["causes"]) == ("consistent", [])
+
+
+def test_every_word_has_a_colour_on_the_page() -> None:
+    colours = dict(re.findall(r'(\w+): "(\w+)"', re.findall(r"^const TRUST = \{(.*?)\}", PAGE, re.MULTILINE)[0]))
+    assert tuple(colours) == ORDER, "the worse the later"
+    assert list(colours.values()) == ["good", "warn", "bad", "bad"]
+
+
+@pytest.mark.skipif(NODE is None, reason="there is no node to run the page's script")
+def test_the_page_calls_nothing_known_that_is_not_to_be_trusted() -> None:
+    good, bad, worse = (
+        json.loads(ROWS.message(*row(said, STATE, robot=said.robot, target="ball")))
+        for said in (
+            state("r1"),
+            state("r1", verdict="suspect", causes=("r2 stands apart from the others", CAUSE)),
+            state("r2", verdict="contradicted", causes=(CAUSE,), faults=(f"contradicted: ball: {CAUSE}", "no frames")),
+        )
+    )
+
+    def sentence(*states: dict[str, Any]) -> list[list[str]]:
+        said = json.dumps([[each["robot"], each] for each in states])
+        return run_of_page(f"known_to('ball', 'seen by all', 0.0015, {said})")
+
+    assert sentence(good) == [["", "The ball: seen by all, known to ± 1.5 mm. "]]
+    _, (colour, text) = sentence(good, bad, worse)
+    assert (colour, text) == ("bad", f"Do not trust its place: contradicted, says r2: {CAUSE}. ")
+    (_, first), (colour, text) = sentence(good, bad)
+    assert first == "The ball: seen by all. " and colour == "warn" and "known to" not in text
+    assert run_of_page("known_to('ball', 'seen by nobody now', 0, [['r1', null]])")[0][1].startswith("Nobody knows yet")
+    assert run_of_page(f"[{json.dumps(good)}, {json.dumps(bad)}].map(stated)") == ["± 1.5 mm", "says ± 1.5 mm"]
+    assert run_of_page(f"others({json.dumps(worse)})") == ["no frames"]
+    del good["verdict"]  # of a recording from before there was one
+    assert sentence(good)[0][1].endswith("known to ± 1.5 mm. ")
 
 
 def test_a_picture_goes_as_it_came_behind_robot_frame_and_time() -> None:

