@@ -18,7 +18,7 @@ from agent.core.step_transaction import Revertible
 ORDER: tuple[Verdict, ...] = ("consistent", "suspect", "contradicted", "missing")
 KEEPS_NS = 5_000_000_000
 
-NEWEST, FEWEST = 30, 20  # own samples whose scatter is judged
+WINDOW_NS, FEWEST = 30_000_000_000, 20  # own samples whose scatter is judged: of so long, at least so many
 SCATTERS = (1.8, 3.0)  # their mean NIS in units of its expectation: suspect, contradicted
 SWEEPS, FEWEST_SWEEPS = 20, 5
 REFUSED = (0.1, 0.5)  # share of sweeps in which focus and size contradict each other
@@ -52,7 +52,7 @@ class Consistency(Revertible):
     def __init__(self, me: str) -> None:
         self._me = me
         self._causes: dict[str, Cause] = {}
-        self._scatter: deque[float] = deque(maxlen=NEWEST)
+        self._scatter: deque[tuple[int, float]] = deque()
         self._ratios: deque[Ratio] = deque(maxlen=SWEEPS)
         self._refused: deque[bool] = deque(maxlen=SWEEPS)
 
@@ -91,9 +91,11 @@ class Consistency(Revertible):
             names = "this robot stands" if apart == [self._me] else f"{', '.join(apart)} stand{'s' * (len(apart) == 1)}"
             self._put("vote", "suspect", f"{names} apart from the others: check pose and calibration", now_ns)
         if explain.nis is not None:
-            self._scatter.append(explain.nis / (2.0 if bearing else 3.0))
-        if len(self._scatter) >= FEWEST:
-            times = sum(self._scatter) / len(self._scatter)
+            self._scatter.append((now_ns, explain.nis / (2.0 if bearing else 3.0)))
+        while self._scatter and now_ns - self._scatter[0][0] > WINDOW_NS:
+            self._scatter.popleft()
+        if len(self._scatter) >= FEWEST and now_ns - self._scatter[0][0] > WINDOW_NS // 2:
+            times = sum(value for _, value in self._scatter) / len(self._scatter)
             text = f"samples scatter {math.sqrt(times):.1f} times as much as they say"
             self._raise("scatter", times, SCATTERS, text, now_ns)
         if explain.stretch is not UNSET and explain.stretch is not None:
