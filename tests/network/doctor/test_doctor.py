@@ -153,7 +153,7 @@ def test_an_open_fleet(make_fleet: MakeFleet, tmp_path: Path) -> None:
     lines = bad(diagnosis)
     assert only(
         lines,
-        "wrong r1: its states cannot be read (schema 99, ours is 2)",
+        "wrong r1: its states cannot be read (schema 99, ours is 3)",
         f"wrong r2: r2 of fleet 'sea' listens at {fleet.robot['r2'].listen}; write one name",
         "wrong r2: has another fleet file",
         "wrong r3: its port answers, but no link came about",
@@ -230,7 +230,7 @@ def test_states_are_put_down(state: Callable[..., State]) -> None:
     assert ears.late_ns == {"r1": 300} and ears.states["r1"].target == "ring"
     assert dict(ears.missed()) == {("r1", "r2"): 2}
     shows(2000, gaps=99, schema=1)
-    assert ears.unreadable == {"r1": "schema 1, ours is 2"} and ears.missed()["r1", "r2"] == 2
+    assert ears.unreadable == {"r1": "schema 1, ours is 3"} and ears.missed()["r1", "r2"] == 2
 
 
 @pytest.mark.parametrize(("pace", "least_s"), [(1.0, 0.3), (10.0, 0.3), (0.5, 0.6), (0.0, 0.9)])

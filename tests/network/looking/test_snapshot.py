@@ -95,7 +95,7 @@ def test_why_no_picture_is_to_be_expected(make_fleet: Fleets, state: Shows) -> N
     assert hopeless(fleet, "r1", state("r1"), "") == ""
     assert "preview_hz is 0; set it, and start the agent again" in hopeless(dark, "r1", state("r1"), "")
     assert hopeless(fleet, "r1", blind, "") == "r1 is heard, but has no picture: no camera: unplugged"
-    assert "cannot be read (schema 1, ours is 2)" in hopeless(fleet, "r1", None, "schema 1, ours is 2")
+    assert "cannot be read (schema 1, ours is 3)" in hopeless(fleet, "r1", None, "schema 1, ours is 3")
 
 
 def test_no_target_is_made_of_a_picture_that_is_none_of_the_camera(make_fleet: Fleets) -> None:
