@@ -21,6 +21,8 @@ from agent.core.codec import encode
 from agent.core.config import dump
 from agent.core.estimation.interface import LATEST_T
 from agent.core.messages import Entry, Epoch, Gossip, State
+from agent.core.status import fault_kind
+from agent.core.verdict import ORDER
 from agent.process.command import temporary_folder
 from hw.firmware import wire
 from tests.dive_timing import timing
@@ -65,7 +67,8 @@ class Water(NamedTuple):
 
         def true(state: State) -> bool:
             more = state.neighbours[0].heard >= heard[state.robot] + HEARD
-            return more and bool(state.armed) and not state.faults and state.mode == "running"
+            ills = [fault for fault in state.faults if fault_kind(fault) not in ORDER]  # what it doubts is no ill
+            return more and bool(state.armed) and not ills and state.mode == "running"
 
         self.shown.until("well", true, PATIENCE_S)
         return self.r1()
