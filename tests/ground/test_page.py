@@ -40,13 +40,13 @@ def doubts() -> Iterator[str]:
     for explain in (why, Explain(doubted={"r1": 0.1}), Explain(status="ambiguous")):
         one = Consistency("r1")
         for k in range(40):
-            one.update(explain, False, k)
+            one.update(explain, False, k * 10**9)
         for k in range(10):
-            one.sweep(Ratio(0.03, 1e-6, 1e-6), True, k)
-        yield from one.verdict(0)[1]
-    for who, s in ((("r1",), 9), (("r1",), 21), (("r1", "r2"), 9), (("r1", "r2"), 0)):
+            one.sweep(Ratio(0.03, 1e-6, 1e-6), True, (30 + k) * 10**9)
+        yield from one.verdict(39 * 10**9)[1]
+    for who, sees, s in (("r1",), (), 9), (("r1",), (), 21), (("r1", "r2"), (), 9), (("r1", "r2"), ("r3",), 0):
         one = Consistency("r1")
-        one.missed(dict.fromkeys(who, 5.0), 0, s * 10**9)
+        one.missed(dict.fromkeys(who, 5.0), sees, 0, s * 10**9)
         yield from one.verdict(s * 10**9)[1]
 
 
