@@ -6,7 +6,7 @@ clock to within half a round trip (`LinkClock`). Of a robot further off its samp
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Generic, NamedTuple, TypeVar
 
 from agent.core.step_transaction import Revertible
 
@@ -23,6 +23,28 @@ STEADY_NS = 50_000_000  # queues do not hold all messages up alike: where all ar
 STEADY_FOR_NS = 3_000_000_000  # ... for so long, the clock of the sender was wrong before
 
 
+T = TypeVar("T", int, "RoundTrip")
+
+
+class LeastOfMinute(Revertible, Generic[T]):
+    """The least of what the last minute brought, for neighbouring seconds one by one."""
+
+    def __init__(self) -> None:
+        self._bins: dict[int, T] = {}  # the least of each second
+
+    def least(self) -> T | None:
+        return min(self._bins.values(), default=None)
+
+    def add(self, new: T, at_ns: int) -> None:
+        now_bin = at_ns // BIN_NS
+        self._bins[now_bin] = min(new, self._bins.get(now_bin, new))
+        for old in [b for b in self._bins if b < now_bin - WINDOW_NS // BIN_NS]:
+            del self._bins[old]
+
+    def forget(self) -> None:
+        self._bins = {}
+
+
 class Late(NamedTuple):
     """Messages in a row that were late, since the first of them."""
 
@@ -35,25 +57,24 @@ class Transit(Revertible):
     """The quickest messages of one neighbour since its start."""
 
     def __init__(self) -> None:
-        self._bins: dict[int, int] = {}  # the quickest of each second
+        self._quickest = LeastOfMinute[int]()
         self._stepped = 0  # messages in a row that were too quick, or too slow to be true
         self._late: Late | None = None
 
     def late_ns(self, transit_ns: int, arrived_ns: int) -> int:
         """How long a message was queued; transit_ns: its arrival on our clock less its stamp on the sender's."""
-        late_ns = transit_ns - min(self._bins.values(), default=transit_ns)
+        quickest_ns = self._quickest.least()
+        late_ns = 0 if quickest_ns is None else transit_ns - quickest_ns
         self._stepped = self._stepped + 1 if not -STEP_NS <= late_ns <= LOST_NS else 0
         if 0 < self._stepped < INSISTS:
             return max(0, late_ns)
         if self._stepped or (late_ns > STEP_NS and self._steady(transit_ns, arrived_ns)):
-            self._bins, self._stepped = {}, 0
+            self._quickest.forget()
+            self._stepped = 0
         if late_ns <= STEP_NS:
             self._late = None
-        now_bin = arrived_ns // BIN_NS
-        self._bins[now_bin] = min(transit_ns, self._bins.get(now_bin, transit_ns))
-        for old in [b for b in self._bins if b < now_bin - WINDOW_NS // BIN_NS]:
-            del self._bins[old]
-        return transit_ns - min(self._bins.values())
+        self._quickest.add(transit_ns, arrived_ns)
+        return transit_ns - (self._quickest.least() or 0)
 
     def _steady(self, transit_ns: int, arrived_ns: int) -> bool:
         """Whether all messages have long been late by the same."""
@@ -96,24 +117,22 @@ class LinkClock(Revertible):
     """The clock of one neighbour since its start."""
 
     def __init__(self) -> None:
-        self._bins: dict[int, RoundTrip] = {}  # the quickest of each second
+        self._quickest = LeastOfMinute[RoundTrip]()
 
     def hear(self, echo: tuple[int, int] | None, transit_ns: int, arrived_ns: int) -> None:
         """A message came; echo: the stamp of ours that it heard last, and for how long it has held that, ns."""
         if echo is None or (rtt_ns := arrived_ns - echo[0] - echo[1]) < -NEGATIVE_NS:
             return
-        now_bin, new = arrived_ns // BIN_NS, RoundTrip(max(rtt_ns, 0), transit_ns)
-        if self._bins and not _meet(new, min(self._bins.values())):
-            self._bins = {}
-        self._bins[now_bin] = min(new, self._bins.get(now_bin, new))
-        for old in [b for b in self._bins if b < now_bin - WINDOW_NS // BIN_NS]:
-            del self._bins[old]
+        new, quickest = RoundTrip(max(rtt_ns, 0), transit_ns), self._quickest.least()
+        if quickest is not None and not _meet(new, quickest):
+            self._quickest.forget()
+        self._quickest.add(new, arrived_ns)
 
     def way(self, transit_ns: int) -> Way | None:
         """Of a message that took transit_ns by both clocks; None before the first echo."""
-        if not self._bins:
+        quickest = self._quickest.least()
+        if quickest is None:
             return None
-        quickest = min(self._bins.values())
         clock_ns = quickest.transit_ns - quickest.rtt_ns // 2
         return Way(max(0, transit_ns - clock_ns), quickest.rtt_ns // 2)
 
@@ -153,12 +172,8 @@ class OriginClocks(Revertible):
     def offset(self, origin: str, said_ns: int, bound_ns: int, direct: bool, now_ns: int) -> Offset:
         """The offset to count with, after a copy that says `said_ns`, to within `bound_ns`, came."""
         old = self._offsets.get(origin)
-        if old is None or (direct and not old.direct):
+        if old is None or (direct and not old.direct) or (direct == old.direct and _nearer(said_ns, bound_ns, old)):
             new = Offset(said_ns, bound_ns, now_ns, direct)
-        elif (
-            direct == old.direct and bound_ns < old.bound_ns and abs(said_ns - old.offset_ns) <= old.bound_ns + AGREE_NS
-        ):
-            new = Offset(said_ns, bound_ns, now_ns, old.direct)
         else:
             elapsed_ns = max(0, now_ns - old.at_ns)
             highest = old.offset_ns + round(RISE * elapsed_ns)
@@ -166,3 +181,8 @@ class OriginClocks(Revertible):
             new = old._replace(offset_ns=max(lowest, min(highest, said_ns)), at_ns=now_ns)
         self._offsets[origin] = new
         return new
+
+
+def _nearer(said_ns: int, bound_ns: int, old: Offset) -> bool:
+    """Whether an offset is known better than before, and may be the same."""
+    return bound_ns < old.bound_ns and abs(said_ns - old.offset_ns) <= old.bound_ns + AGREE_NS

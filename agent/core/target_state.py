@@ -88,8 +88,7 @@ class TargetState(Revertible):
 
     def estimate(self, now_ns: int) -> TargetEstimate | None:
         """The posterior, to swim by. To be asked in each step: it takes note of the robots that see the target."""
-        if self.estimator.valid or self.cache.usable(now_ns, self._validity_ns):
-            self._seen_ns = now_ns
+        self._note_who_sees(now_ns)
         believed = self.estimator.posterior
         if believed is None or self._seen_ns is None:
             return None
@@ -108,9 +107,7 @@ class TargetState(Revertible):
         else:
             self.update = self.estimator.tick(self.prior, self.cache, now_ns)
         self.consistency.update(self.update.explain, self.prior is None, now_ns)
-        sees = [name for name, _ in self.cache.usable(now_ns, self._validity_ns)]
-        sees += [self._robot] if self.estimator.valid else []
-        self._seen_ns = now_ns if sees else self._seen_ns
+        sees = self._note_who_sees(now_ns)
         nats = {self._robot: self._missed, **self.cache.missed(now_ns)}
         self.consistency.missed(nats, sees, self._seen_ns, now_ns)
         self.prior = self.bearing = None
@@ -128,6 +125,13 @@ class TargetState(Revertible):
             return False
         self._news = self.knows
         return True
+
+    def _note_who_sees(self, now_ns: int) -> list[str]:
+        """The robots that are known to see the target now."""
+        sees = [name for name, _ in self.cache.usable(now_ns, self._validity_ns)]
+        sees += [self._robot] if self.estimator.valid else []
+        self._seen_ns = now_ns if sees else self._seen_ns
+        return sees
 
     def say(self, neighbour: str, seq: int, now_ns: int) -> Estimate:
         """The message to a neighbour; without news it is still the heartbeat."""

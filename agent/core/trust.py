@@ -180,15 +180,10 @@ class EpochVote(Revertible):
         self._me = me
         self._woke_ns: int | None = None  # since when we listen
         self._proposals: dict[str, Told] = {}  # of each robot its newest
-        self._witnesses: tuple[Proposal, ...] = ()  # for the epoch that we are in
+        self.witnesses: tuple[Proposal, ...] = ()  # those that began the epoch that we are in
         self._beside: dict[str, tuple[int, int]] = {}  # neighbour -> counter of its epoch, and when it said so
         self._began_ns: int | None = None  # the epoch that we are in; none: we just started, and met no robot in it
         self._refuted, self._quiet_until_ns = 0, 0  # own proposals in a row, and until when we make no other
-
-    @property
-    def witnesses(self) -> tuple[Proposal, ...]:
-        """Those that began our epoch."""
-        return self._witnesses
 
     def is_news(self, proposal: Proposal, epoch: Epoch) -> bool:
         """Whether a proposal could matter and was not heard before."""
@@ -262,13 +257,13 @@ class EpochVote(Revertible):
     def begin(self, epoch: Epoch, now_ns: int) -> None:
         """We are in this epoch from now on."""
         told = [each.proposal for each in self._proposals.values() if not each.proposal.against]
-        self._witnesses = tuple(each for each in told if each.counter == epoch.counter)[:WITNESSES]
+        self.witnesses = tuple(each for each in told if each.counter == epoch.counter)[:WITNESSES]
         self._proposals = {n: each for n, each in self._proposals.items() if each.proposal.counter > epoch.counter}
         self._began_ns, self._refuted = now_ns, 0
 
     def shown(self, now_ns: int) -> tuple[Proposal, ...]:
         """What to tell a neighbour: the proposals that began our epoch, and fresh ones for another."""
-        return (*self._witnesses, *(each.proposal for each in self._fresh(now_ns)))
+        return (*self.witnesses, *(each.proposal for each in self._fresh(now_ns)))
 
     def _fresh(self, now_ns: int) -> list[Told]:
         """In the order of the robots' names."""

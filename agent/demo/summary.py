@@ -274,7 +274,7 @@ def _errors(track: CreatureTrack, robot: str, since_ns: int) -> tuple[np.ndarray
         return np.zeros(0), np.zeros(0)
     e = np.array([row.x_m for row in rows]) - track.truth.at([row.t_ns for row in rows])
     known = np.asarray(np.isfinite(e).all(axis=1))
-    squares = [float(d @ np.linalg.solve(_full(row.cov_m2), d)) for d, row in _pairs(e, rows, known)]
+    squares = [float(d @ np.linalg.solve(full(row.cov_m2), d)) for d, row in _pairs(e, rows, known)]
     return np.linalg.norm(e[known], axis=1), np.array(squares)
 
 
@@ -282,7 +282,8 @@ def _pairs(e: np.ndarray, rows: list[Held], known: np.ndarray) -> list[tuple[np.
     return [(d, row) for d, row, is_known in zip(e, rows, known, strict=True) if is_known]
 
 
-def _full(cov_m2: Symmetric) -> np.ndarray:
+def full(cov_m2: Symmetric) -> np.ndarray:
+    """(3, 3) of xx xy xz yy yz zz."""
     xx, xy, xz, yy, yz, zz = cov_m2
     return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 

@@ -17,6 +17,7 @@ from agent.core.estimation.interface import Prior
 from agent.core.linear_algebra import upper
 from agent.core.messages import Estimate, Vector, Verdict
 from agent.core.target_state import TargetState
+from agent.demo.summary import full
 from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value, percentile
 
 # --- a fleet that agrees while something is wrong ---
@@ -143,10 +144,9 @@ def belief(state: TargetState, robot: int, s: float, now_ns: int, truth_m: Array
     known, told = state.estimate(now_ns), state.consistency.verdict(now_ns)
     if known is None or truth_m is None:
         return Belief(s, robot, None, None, None, *told)
-    xx, xy, xz, yy, yz, zz = known.cov_m2
-    e, P = np.array(known.x_m) - truth_m, np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    e, P = np.array(known.x_m) - truth_m, full(known.cov_m2)
     nees = float(e @ np.linalg.solve(P, e))
-    return Belief(s, robot, float(np.linalg.norm(e)), math.sqrt(xx + yy + zz), nees, *told)
+    return Belief(s, robot, float(np.linalg.norm(e)), math.sqrt(np.trace(P)), nees, *told)
 
 
 def stand(robots: int, spread_rad: float = 2.0 * math.pi) -> Array:

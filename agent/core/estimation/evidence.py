@@ -30,7 +30,7 @@ from agent.core.estimation.evidence_table import Bounds, Key, Table, entry_fault
 from agent.core.estimation.fuse import Fused, fuse, stretch
 from agent.core.estimation.interface import NOTHING, Bearing, EstimateCache, Posterior, Prior, Update, Word
 from agent.core.estimation.modes import Conclusion, DeliveryLedger, Me, Mode, outliving
-from agent.core.estimation.motion import ALARM, Innovation, Motion
+from agent.core.estimation.motion import Innovation, Motion
 from agent.core.estimation.moving_target import WINDOW, MovingTarget, unseen
 from agent.core.estimation.track import ROLLING, Dynamics, outer
 from agent.core.linear_algebra import apply, difference, distance2, inverse, plus, times, trace
@@ -62,8 +62,7 @@ class Evidence(Revertible):
     """State of one robot for one target. `incarnation` must differ from that of every earlier start.
 
     subject: fleet and target, as they are signed. verify: how signatures are checked. dynamics: of the target; one
-    that swims by the fleet file moves from the first epoch on, and no robot tests whether it rests. alarm: from which
-    on own samples say that a target at rest moved (motion.ALARM).
+    that swims by the fleet file moves from the first epoch on, and no robot tests whether it rests.
     """
 
     def __init__(
@@ -79,7 +78,6 @@ class Evidence(Revertible):
         subject: tuple[str, str] = ("", ""),
         verify: Verify = verify_signature,
         dynamics: Dynamics = ROLLING,
-        alarm: float = ALARM,
     ) -> None:
         self._authority = Authority(neighbours, verify)
         key = (me, incarnation)
@@ -96,7 +94,7 @@ class Evidence(Revertible):
         self._swims = math.isfinite(dynamics.turn_s)
         self.epoch = epoch_of(1) if self._swims else Epoch()
         self._vote = EpochVote(me)
-        self._alarm, self._motion = alarm, Motion(alarm)
+        self._motion = Motion()
         self._odd_m: Vector | None = None  # the step of our newest sample, where it is hardly of the same place
         self._changed_ns = 0  # since when our samples are of the new place, as far as we know
         self._alone = False  # in an epoch that one robot's word began, and no other has measured in
@@ -229,7 +227,8 @@ class Evidence(Revertible):
 
     def say(self, to: str, now_ns: int) -> Word:
         self._pass(now_ns)
-        x_m, cov_m2 = self.posterior[:2] if self.posterior else (None, None)
+        believed = self.posterior
+        x_m, cov_m2 = believed[:2] if believed else (None, None)
         gossip = replace(self._mode.say(to, now_ns), proposals=self._vote.shown(now_ns))
         return Word(x_m, cov_m2, gossip=gossip)
 
@@ -244,7 +243,7 @@ class Evidence(Revertible):
         self._doubted = self._doubted + 1 if doubted else 0
         alone = self._vote.unseconded(self.epoch, now_ns)
         if alone:
-            self._motion, self._odd_m = Motion(self._alarm), None
+            self._motion, self._odd_m = Motion(), None
         if (alone and not self.epoch.moving) or self._doubted >= DOUBTED:
             self._begin_anew(now_ns)
 
@@ -272,7 +271,7 @@ class Evidence(Revertible):
         told, changed_ns = self._vote.pending(self.epoch, now_ns), self._changed_ns
         if told is not None and not changed_ns:
             changed_ns = told.heard_ns
-        self.epoch, self._motion, self._stale = epoch, Motion(self._alarm), True
+        self.epoch, self._motion, self._stale = epoch, Motion(), True
         self._odd_m, self._changed_ns, self._alone = None, 0, True
         self._vote.begin(epoch, now_ns)
         self._mode = self._mode_of(epoch)

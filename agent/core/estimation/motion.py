@@ -29,7 +29,6 @@ from agent.core.step_transaction import Revertible
 SPANS = (2, 3, 4, 6, 8, 12, 16, 24, 32, 48)  # m: newest samples that may be of another place
 BEFORE, FEWEST, FEW = 120, 6, 40  # n: at most, at least; with fewer than FEW one that stands apart counts
 ALARM = 26.0  # g: 0.05 false alarms a robot and hour, in samples that scatter twice as much as they say
-ALARM_SWIMS = 32.0  # of a robot that swims: errors of its pose are alike for seconds
 DRIFT_M = 0.0004  # c
 AGREE = 16.27  # chi^2, 3 degrees of freedom, 0.999: two samples that are of one place
 MEDIAN = 2.366  # of chi^2, 3 degrees of freedom
@@ -64,8 +63,7 @@ class Moved(NamedTuple):
 class Motion(Revertible):
     """Evidence for and against motion, of one robot in one epoch."""
 
-    def __init__(self, alarm: float = ALARM) -> None:
-        self._alarm = alarm
+    def __init__(self) -> None:
         self._own: deque[Own] = deque(maxlen=BEFORE + SPANS[-1])
         self._sums: deque[Sum] = deque((NONE,), maxlen=BEFORE + SPANS[-1] + 1)  # of all up to each
         self._batch: list[float] = []
@@ -80,10 +78,10 @@ class Motion(Revertible):
         self._sums.append(_add(self._sums[-1], self._own[-1]))
         own, sums = tuple(self._own), tuple(self._sums)
         spans = [m for m in SPANS if len(own) - m >= FEWEST]
-        odd = [m for m in spans if _g(_between(sums, -m), _between(sums, -m - BEFORE, -m), 1.0) > self._alarm]
+        odd = [m for m in spans if _g(_between(sums, -m), _between(sums, -m - BEFORE, -m), 1.0) > ALARM]
         s2 = _scatter(own) if odd else 1.0  # what follows makes g smaller
         g, moved = max((_moved(own, m, s2) for m in odd), default=(0.0, None), key=lambda each: each[0])
-        return moved if g > self._alarm else None
+        return moved if g > ALARM else None
 
     def judge(self, step_m: Vector, told_ns: int) -> bool | None:
         """Whether own samples since a step was told of say that it happened; None: they cannot tell yet."""

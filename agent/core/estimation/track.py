@@ -357,9 +357,7 @@ class Held(NamedTuple):
     vector: Vector  # R^-1 x̂, 1/m
     exposed_ns: int = 0  # of exposure, on the clock of its origin; 0: not told
     signature: bytes = b""
-    unsure_ns: int = (
-        0  # by which t_ns may be wrong: what the ways of other robots' messages took is known to within that
-    )
+    unsure_ns: int = 0  # by which t_ns may be wrong: nobody knows exactly how long messages were on their way
 
 
 class FixedLagFilter(Revertible):
