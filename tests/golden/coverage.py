@@ -1,7 +1,7 @@
 """How much of the kernel the golden logs enter: `python -m tests.golden.coverage [--missing]`.
 
-Today's kernel replays every golden log, as `aucamp replay check` does, and reads the golden fleet files, while
-coverage.py notes the lines it enters. What counts are lines within functions: those of a module or a class run when it
+Today's kernel replays every golden log, today's vision sees the golden frames, and the golden fleet files are read, as
+the golden tests do it, while coverage.py notes the lines that are entered. What counts are lines within functions: those of a module or a class run when it
 is imported, and would say nothing. One row a folder, for the files that lie directly in it. Exits with 1 if a folder is
 below LEAST. `--missing` also prints, file by file, the functions' lines that no log enters, the longest list first.
 """
@@ -18,8 +18,11 @@ from typing import NamedTuple
 
 import coverage
 
+from agent.perception.vision import rerun_vision
 from replay.check.reexecute import open_boxes, reexecute
+from replay.check.vision_check import check_vision
 from tests.golden import fleet_files
+from tests.golden.make import SEEN
 from tests.places import GOLDEN, ROOT
 
 KERNEL = ("agent/core", "agent/capabilities", "agent/robot")  # with all folders below
@@ -67,6 +70,7 @@ def entered() -> list[Entered]:
     with measure.collect():
         for box in open_boxes(cases):
             reexecute(box)
+        check_vision([GOLDEN / SEEN], rerun_vision)
         fleet_files.lines()
     found = []
     for path in sorted(path for folder in KERNEL for path in (ROOT / folder).rglob("*.py")):

@@ -53,6 +53,7 @@ class Case(NamedTuple):
     pushed: tuple[float, float] = (0.0, 0.0)  # r2 is knocked, and rights itself
     wrong_m: float = 0.0  # by which r3 was surveyed wrongly along x: it is convinced of another place
     signed: bool = False  # robots have keys
+    late: tuple[float, float] = (0.0, 0.0)  # what r2 says reaches r1 LATE_NS later
     forged: tuple[float, float] = (0.0, 0.0)  # r2 tells r1 what r3 never said
     lit: bool = False  # robots have lamps, and light for each other
     fleet: str = "tank"
@@ -72,7 +73,7 @@ TWO_M = {"ball": (0.55, 0.66, 0.07), "buoy": (0.92, 0.45, 0.05)}  # as hw/twin/s
 CASES = {
     "three": Case("paper", 16.0),
     "three_evidence": Case("evidence", 16.0),
-    "outage": Case("metropolis", 22.0, mute=(9.0, 13.0), dead=(10.0, 14.0)),
+    "outage": Case("metropolis", 22.0, mute=(9.0, 13.0), dead=(10.0, 14.0), late=(15.0, 22.0)),
     "liar": Case("evidence", 18.0, wrong_m=0.1),
     "empty": Case("paper", 16.0, hidden=(9.0, 13.0)),
     "push": Case("evidence", 18.0, pushed=(11.0, 12.5)),
@@ -86,6 +87,7 @@ CASES = {
     "strange": Case("evidence", 14.0, strange=True, orders=BROKEN),
 }
 CARRIED_M_S = 0.02
+LATE_NS = 400_000_000
 TORN = "torn"  # r1 of `three`, cut
 SURVEY = "survey"  # two robots that map a drawn tank
 SEEN = "seen"  # frames, for vision
@@ -128,7 +130,9 @@ def dive(case: Case, out: Path) -> None:
             for dst, heard in robot.step() if robot.agent else ():
                 if not ("r2" in (robot.name, dst) and clock.within(case.mute)):
                     forged = (robot.name, dst) == ("r2", "r1") and clock.within(case.forged)
-                    robots[dst].post.append(forge(heard) if forged else heard)
+                    late = (robot.name, dst) == ("r2", "r1") and clock.within(case.late)
+                    arrived_ns = heard.arrived_ns + LATE_NS * late
+                    robots[dst].post.append(replace(forge(heard) if forged else heard, arrived_ns=arrived_ns))
     for robot in robots.values():
         robot.alive(False, out)
 
@@ -183,8 +187,9 @@ class Robot:
         telemetry, _ = self.motors.drain()
         keys, self.told = UNSET if self.told else self.keys, True
         sightings = tuple(self.script.drain())
-        inputs = Inputs(telemetry=tuple(telemetry), sightings=sightings, heard=tuple(self.post), keys=keys)
-        self.post = []
+        heard = tuple(each for each in self.post if each.arrived_ns <= now_ns)
+        self.post = [each for each in self.post if each.arrived_ns > now_ns]
+        inputs = Inputs(telemetry=tuple(telemetry), sightings=sightings, heard=heard, keys=keys)
         if self.case.strange and self.name == "r1":
             inputs = strange(inputs, self.clock.step)
         outputs = self.agent.step(inputs, now_ns)

@@ -67,6 +67,8 @@ WORDS: tuple[Callable[[Estimate], bytes], ...] = (
     told(incarnation=2 * 10**18),
     told(seq=10**9),
     told(seq=1),
+    told(sent_ns=1_767_225_600 * 10**9 + HOUR_NS),
+    told(sent_ns=1_767_225_600 * 10**9),
     told(incarnation=1_767_225_600 * 10**9 + 5, seq=10**6),
     entry(origin="r9"),
     entry(count=10**6),
