@@ -1,9 +1,10 @@
 """How much of the kernel the golden logs enter: `python -m tests.golden.coverage [--missing]`.
 
 Today's kernel replays every golden log, today's vision sees the golden frames, and the golden fleet files are read, as
-the golden tests do it, while coverage.py notes the lines that are entered. What counts are lines within functions: those of a module or a class run when it
-is imported, and would say nothing. One row a folder, for the files that lie directly in it. Exits with 1 if a folder is
-below LEAST. `--missing` also prints, file by file, the functions' lines that no log enters, the longest list first.
+the golden tests do it, while coverage.py notes the lines that are entered. What counts are lines within functions:
+those of a module or a class run when it is imported, and would say nothing. One row a folder, for the files that lie
+directly in it. Exits with 1 if a folder is below LEAST. `--missing` also prints, file by file, the functions' lines
+that no log enters, the longest list first.
 """
 
 from __future__ import annotations
