@@ -132,21 +132,35 @@ def snapshot(
         typer.echo(target_table(robots, target, path, image))
 
 
-Page = StrEnum("Page", ["priorities"])  # of what `aucamp explain` explains
+Page = StrEnum("Page", ["priorities", "sigma"])  # of what `aucamp explain` explains
 
 
 @app.command(epilog="Example: aucamp explain priorities")
 def explain(
-    what: Annotated[Page, typer.Argument(help="priorities: who gets camera, body and lamp in a step.")],
+    what: Annotated[
+        Page,
+        typer.Argument(
+            help="priorities: who gets camera, body and lamp in a step; sigma: of what a run's sigmas are made."
+        ),
+    ],
+    run: Annotated[Path | None, typer.Argument(metavar="RUN", help="sigma: folder of a run, or a recording.")] = None,
 ) -> None:
-    """How a robot decides."""
+    """How a robot decides, or of what its sigma is made."""
     from rich.box import SIMPLE
     from rich.table import Table
 
     from agent.robot.arbiter import table
+    from replay.check.explain import PARTS, sigma_parts
 
-    shown = Table("resource", "who", "in a sweep of", "while another has the light", "takes it when", box=SIMPLE)
-    for row in table():
+    if what is Page.sigma:
+        if run is None:
+            raise ConfigError("sigma: of which run? Give its folder")
+        shown = Table("robot", "target", "sigma, mm", *PARTS, box=SIMPLE)
+        rows: list[tuple[str, ...]] = sigma_parts(run)
+    else:
+        shown = Table("resource", "who", "in a sweep of", "while another has the light", "takes it when", box=SIMPLE)
+        rows = [*table()]
+    for row in rows:
         shown.add_row(*row)
     terminal().print(shown)
 

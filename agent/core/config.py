@@ -86,6 +86,24 @@ class Ranging(Struct, frozen=True, kw_only=True):
     cues: Cues = "both"  # range from the focus, from the apparent size of a known target, or from both
 
 
+class Budget(Struct, frozen=True, kw_only=True):
+    """What a careful laboratory has wrong and cannot see in the data: standard deviations. What cameras have wrong
+    stands in their calibrations."""
+
+    # the same on all robots: it does not fall with their number, and no two of them can notice it
+    level_m: Annotated[float, Meta(ge=0)] = 0.0015  # height of the water in the frame of the tank
+    survey_m: Annotated[float, Meta(ge=0)] = 0.001  # that frame itself, in x and in y: a tape's, or the map's of tags
+    scale: Annotated[float, Meta(ge=0, le=0.1)] = 0.0015  # share of all ranges: refractive index, print of the chart
+    # of each robot by itself; of one that swims, its filter says how well it knows its place and heading
+    place_m: Annotated[float, Meta(ge=0)] = 0.0014  # in x and in y: surveyed to 1 mm, and moored to 1 mm
+    height_m: Annotated[float, Meta(ge=0)] = 0.0007  # what the tare leaves, and the drift of four sensors
+    heading_deg: Annotated[float, Meta(ge=0)] = 0.14  # surveyed to 0.1 degrees, and moored to 0.1
+    attitude_deg: Annotated[float, Meta(ge=0)] = 0.1  # roll and pitch: drift and noise of pressure over 0.26 m
+
+
+CAREFUL = Budget()
+
+
 class Estimation(Struct, frozen=True, kw_only=True):
     protocol: Protocol = "evidence"
     iteration_s: Positive = 1.0  # the paper's t -> t + 1: one attempt to measure, one update
@@ -306,6 +324,7 @@ class Fleet(Struct, frozen=True, kw_only=True):
     water: Water = Water()
     target: dict[Name, Target]
     ranging: Ranging = Ranging()
+    budget: Budget = CAREFUL
     estimation: Estimation = Estimation()
     link: Link = Link()
     access: Access = Access()
@@ -562,6 +581,8 @@ def common(fleet: Fleet) -> str:
         "target": {name: _target(target) for name, target in fleet.target.items()},
         "robot": {name: sorted(set(robot.neighbours)) for name, robot in fleet.robot.items()},
     }
+    if fleet.budget != CAREFUL:
+        shared["budget"] = msgspec.to_builtins(fleet.budget)
     if fleet.landmarks is not None:
         shared["landmarks"] = _landmarks(fleet.landmarks)
     if fleet.coverage is not None:

@@ -263,6 +263,13 @@ class Explain(Message, frozen=True, kw_only=True):
         tuple[float, float] | UnsetType | None,
         means("by which share all ranges are long, and its sigma, of three robots and more; null: fewer"),
     ] = UNSET
+    parts_m2: Annotated[
+        tuple[float, float, float, float] | UnsetType,
+        means(
+            "m^2, parts of the variance of the posterior, where no robot is doubted: random; what each robot has wrong "
+            "for itself; the scale of all ranges; level and survey"
+        ),
+    ] = UNSET
     sway_m: Annotated[
         dict[str, float],
         means("protocol `evidence`: m, from the posterior to where it would be without this origin"),

@@ -21,6 +21,8 @@ from numpy.typing import NDArray
 
 from agent.clock.clock import StandingClock
 from agent.core.config import Cues, Fleet, Pose, Target, WaterKind
+from agent.core.estimation.track import outer
+from agent.core.linear_algebra import plus, times
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import (
     Calibration,
@@ -274,7 +276,8 @@ def errors(
     if isinstance(fix, NoRange) or isinstance(reach, NoRange):
         return {"refused": fix.reason if isinstance(fix, NoRange) else ""}
     e = np.array(fix.position_m) - truth_m
-    xx, xy, xz, yy, yz, zz = fix.covariance_m2
+    stretch = (1.0 - fix.focus_share) * ball.radius_sigma_m / (ball.radius_m or 1.0)  # of a range by size
+    xx, xy, xz, yy, yz, zz = plus(fix.covariance_m2, times(stretch * stretch, outer(fix.lever_m)))
     covariance = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
     return {
         "nees": float(e @ np.linalg.solve(covariance, e)),

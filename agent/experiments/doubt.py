@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from agent.core.config import Estimation, Fleet, Pose, Robot, Tank, Target
 from agent.core.estimation.interface import Prior
+from agent.core.estimation.protocols import shared
 from agent.core.linear_algebra import upper
 from agent.core.messages import Estimate, Vector, Verdict
 from agent.core.target_state import TargetState
@@ -33,8 +34,12 @@ MIDDLE_M: NDArray[np.float64] = np.array([1.5, 1.0, 0.4])
 STAND_M = 0.6  # of the robots around the middle
 ALONG_M, ACROSS_M = 0.003, 0.0012  # of a sample, in and across its line of sight
 STAYS_M = 0.001  # of each robot's own pose and calibration, an axis
+CALLIPERS_M = 0.0001  # of the ball's radius
 LATE_S = 0.1  # from the exposure to the step that knows of it
-BALL, FISH = Target(radius_m=0.05), Target(detector="creature", length_m=0.1, speed_m_s=0.15, turn_s=3.0)
+BALL, FISH = (
+    Target(radius_m=0.05, radius_sigma_m=CALLIPERS_M),
+    Target(detector="creature", length_m=0.1, speed_m_s=0.15, turn_s=3.0),
+)
 
 LONGEST_S = 120  # of a fish's path
 SWIMS_LEVEL = np.array([1.0, 1.0, 0.2])  # shares of its motion
@@ -67,7 +72,7 @@ class Case(NamedTuple):
     clock_s: Callable[[int, float], float] = right_clock  # by which the clock of robot i is ahead
     loss: float = 0.0
     hidden: Callable[[int, float], bool] = never  # whether robot i does not see it though it is there
-    long: tuple[float, ...] = ()  # by which share the ranges of each robot are long; beyond: 0
+    long: tuple[float, ...] = ()  # by which share the ranges of each robot are long, beside the budget; beyond: 0
     spread_rad: float = 2.0 * math.pi  # over which the robots stand around the target
     offset_m: Callable[[int, float], Array] | None = None  # what robot i has wrong, and does not know of
 
@@ -90,7 +95,9 @@ def dive(case: Case, seconds: float, seed: int) -> Iterator[Belief]:
     names = [f"r{k}" for k in range(len(case.sees))]
     fleet = fleet_of(case, names)
     stands, long = stand(len(names), case.spread_rad), (*case.long, *[0.0] * len(names))
-    stays = rng.normal(0.0, STAYS_M, (len(names), 3))
+    alike = shared(fleet, "it")
+    stays = rng.normal(0.0, STAYS_M, (len(names), 3)) + rng.multivariate_normal(np.zeros(3), full(alike.place_m2))
+    of_all = float(rng.normal(0.0, alike.scale))
     clocks = [lambda ns, i=i: START_NS + ns + round(case.clock_s(i, ns * 1e-9) * 1e9) for i in range(len(names))]
     states = [TargetState(fleet, name, "it", clocks[k](0)) for k, name in enumerate(names)]
     phase = [float(rng.uniform(0.0, case.period_s)) for _ in names]
@@ -107,7 +114,7 @@ def dive(case: Case, seconds: float, seed: int) -> Iterator[Belief]:
             now_ns = clocks[i](ns)
             if s >= due_s[i] + LATE_S:
                 if case.sees[i] and not case.hidden(i, due_s[i]) and (at := case.path(due_s[i])) is not None:
-                    off = stays[i] + long[i] * (at - stands[i])
+                    off = stays[i] + (of_all + long[i]) * (at - stands[i])
                     off = off if case.offset_m is None else off + case.offset_m(i, due_s[i])
                     state.measure(sample(at, stands[i], off, clocks[i](round(due_s[i] * 1e9)), rng))
                 due_s[i] += case.period_s
@@ -311,7 +318,7 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
             "sigma_mm": 1e3 * float(np.mean([each.sigma_m for each in known])) if known else None,
             "nees": float(np.mean([each.nees for each in known])) if known else None,
             "silent": len(silent) / max(len(late_on), 1),
-            "said_s": None if first is None else first.s - since_s,
+            "said_s": None if first is None else round(first.s - since_s, 3),
             "word": "" if first is None else first.verdict,
             "cause": "" if first is None else first.causes[0],
         }

@@ -141,7 +141,8 @@ class Targets(Revertible):
     def _located(self, peak: Measurement, eye: Eye, own: OwnPose | None) -> Fix | NoRange:
         ball = self.current.ball
         outline, sigma, cues = self._light.corrected(peak, eye, ball, self._fleet.ranging.cues)
-        return locate(self._calibration, eye, outline, peak.lens_position, sigma, ball, cues, own)
+        budget = self._fleet.budget
+        return locate(self._calibration, eye, outline, peak.lens_position, sigma, ball, cues, own, budget)
 
     def _compare(self, peak: Measurement, refused: bool, now_ns: int) -> None:
         """Take note of what the sweep says of focus and size, where both speak."""

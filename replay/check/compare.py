@@ -9,7 +9,6 @@ import math
 import re
 import struct
 from collections.abc import Collection, Iterator, Sequence
-from functools import cache
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -157,17 +156,18 @@ NUMBERED = ("says.schema", "state.schema", "log.schema")  # fields that say the 
 # What each schema added to the one before. 2: `common`; proposals, which end a gossip; the signature that ends an
 # entry; time and signature, which end a sample; of a state, `signed`, `sway_m`, `battery_v` and `ladder`; another entry
 # is no such. 3: `missed` and `echo`; the lever that ends an entry, the bound that ends a sample, step and `against`,
-# which end a proposal; of a state, `verdict`, `causes`, `moved_m` and `stretch`.
+# which end a proposal; of a state, `verdict`, `causes`, `moved_m`, `stretch` and `parts_m2`.
 NEW = {
     2: r"says\[\d+\]\.(common|gossip\[4\]|gossip\[1\]\[\d+\]\[6\]|gossip\[2\]\[\d+\]\[[67]\])"
     r"|state\.(signed|battery_v|ladder|explain\.sway_m)",
     3: r"says\[\d+\]\.(missed|echo|gossip\[1\]\[\d+\]\[7\]|gossip\[2\]\[\d+\]\[8\]|gossip\[4\]\[\d+\]\[[56]\])"
-    r"|state\.(verdict|causes|explain\.(moved_m|stretch))",
+    r"|state\.(verdict|causes|explain\.(moved_m|stretch|parts_m2))",
 }
+OTHERS = {3: r"state\.(prior|posterior)_sigma_m|says\[\d+\]\.cov_m2\[\d\]"}  # values: sigmas have the budget in them
 IN_WORDS = {
     1: "the schema itself, signatures, times of exposure, proposals, `common`, `signed`, `sway_m`, battery, ladder, "
-    "echoes, misses, levers, steps, and verdicts",
-    2: "the schema itself, echoes, misses, levers, steps, and verdicts",
+    "echoes, misses, levers, steps, verdicts, and sigmas",
+    2: "the schema itself, echoes, misses, levers, steps, verdicts, and sigmas",
 }
 YOUNGER = ("state.battery_v", "state.ladder")  # said by robots only since some recordings of today's schema were made
 
@@ -178,7 +178,8 @@ def must_differ(schema: int, difference: Difference) -> bool:
         return False
     if difference.plain in NUMBERED:
         return bool(difference.recorded == schema and difference.replayed == SCHEMA)
-    return difference.recorded is ABSENT and _added(schema).fullmatch(difference.field) is not None
+    new = NEW if difference.recorded is ABSENT else OTHERS
+    return any(later > schema and re.fullmatch(fields, difference.field) for later, fields in new.items())
 
 
 def note(schema: int) -> str | None:
@@ -191,8 +192,3 @@ def note(schema: int) -> str | None:
 def only_younger(fields: Collection[str], first: Difference) -> bool:
     """Whether a recording differs in nothing but fields that it may be too old to have."""
     return first.recorded is ABSENT and set(fields) <= set(YOUNGER)
-
-
-@cache
-def _added(schema: int) -> re.Pattern[str]:
-    return re.compile("|".join(added for later, added in NEW.items() if later > schema) or r"\b\B")  # nothing

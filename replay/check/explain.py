@@ -16,7 +16,7 @@ from agent.core.config import ConfigError
 from agent.core.messages import Explain, LampState, LogLine, State
 from agent.core.step_io import Outputs, SweepOutcome
 from agent.robot.arbiter import NOBODY, priorities
-from replay.check.reexecute import STEP_BYTES, open_box
+from replay.check.reexecute import STEP_BYTES, open_box, open_boxes
 from replay.files.mcap_walk import suspecting
 
 RULES = {
@@ -161,6 +161,26 @@ def _parse(at: str | None) -> _At:
     raise ConfigError(f"--at {at}: write an iteration (16), a time (12.5s) or a step (step:812)")
 
 
+PARTS = "random", "of each robot by itself", "scale of all ranges", "level and survey"  # Explain.parts_m2
+
+
+def sigma_parts(run: Path) -> list[tuple[str, ...]]:
+    """Of what the sigma of each robot of a run is made at its end, in millimetres: robot, target, whole, PARTS; without
+    the parts where its protocol does not tell them. Raises ConfigError."""
+    rows = []
+    for box in open_boxes([run]):
+        for target in box.fleet.target:
+            with suspecting(box.path):
+                moment = find(box.path, None, target)
+            if moment is None or moment.state.posterior_sigma_m is None:
+                continue
+            why = moment.state.explain or Explain()
+            parts = () if why.parts_m2 is UNSET else tuple(f"{1e3 * math.sqrt(m2):.2f}" for m2 in why.parts_m2)
+            whole = f"{1e3 * moment.state.posterior_sigma_m:.2f}"
+            rows.append((box.robot, target, whole, *(parts or ("",) * len(PARTS))))
+    return rows
+
+
 def sentences(moment: Moment) -> list[str]:
     """What happened in the iteration, most important first."""
     state, before = moment.state, moment.before
@@ -180,6 +200,11 @@ def sentences(moment: Moment) -> list[str]:
         )
     lines += _neighbours(state, why)
     lines.append(f"Estimate: {_place(state.posterior_m, state.posterior_sigma_m)}{_moved(state, before)}.")
+    if why.parts_m2 is not UNSET:
+        parts = zip(PARTS, why.parts_m2, strict=True)
+        lines.append(
+            f"Its sigma is made of: {', '.join(f'{what} {1e3 * math.sqrt(m2):.2f} mm' for what, m2 in parts)}."
+        )
     if why.speed_m_s is not None:
         lines.append(f"It takes the target to move at {1e3 * why.speed_m_s:.1f} mm/s.")
     if why.epoch.counter:

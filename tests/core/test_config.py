@@ -12,6 +12,7 @@ from msgspec.structs import replace
 import agent
 from agent.core.codec import too_deep
 from agent.core.config import (
+    Budget,
     ConfigError,
     Fleet,
     Pose,
@@ -225,6 +226,7 @@ def test_sixteen_digits_the_same_from_every_start_of_python() -> None:
         {"fleet": "lake"},
         {"tank": Tank(size_m=(1.5, 1.2, 0.9))},
         {"tank": Tank(surface_m=0.6)},
+        {"budget": Budget(level_m=0.003)},
         {"target": {"ball": Target(radius_m=0.08)}},
         {"target": {"ball": Target(radius_m=0.07, colour="green")}},
         {"target": {"buoy": Target(radius_m=0.07)}},

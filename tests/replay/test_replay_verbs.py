@@ -1,5 +1,6 @@
 """`aucamp replay ...`: what a newcomer types wrong is one line that says what to give, and nothing is overwritten."""
 
+import math
 import shutil
 from pathlib import Path
 
@@ -8,6 +9,7 @@ from typer.testing import CliRunner
 
 from agent.__main__ import app
 from agent.core.config import ConfigError
+from replay.check.explain import sigma_parts
 from tests.places import GOLDEN, ROOT
 from tests.replay.rewritten import rewritten
 
@@ -52,6 +54,21 @@ def test_what_is_typed_wrong_is_one_line(
         CliRunner().invoke(app, ["replay", *words], catch_exceptions=False)
     assert "\n" not in str(error.value)
     assert (folder / "x.txt").read_text() == "x"
+
+
+def test_of_what_sigma_is_made(tmp_path: Path) -> None:
+    """The parts add up as squares; a protocol without parts leaves them open."""
+    for name in ("three_evidence", "three"):
+        (whole, *parts), *_ = [row[2:] for row in sigma_parts(GOLDEN / name)]
+        if name == "three":
+            assert parts == ["", "", "", ""]
+            continue
+        assert math.hypot(*map(float, parts)) == pytest.approx(float(whole), abs=0.02)
+        assert float(parts[-1]) == pytest.approx(1e3 * math.hypot(0.0015, 0.001, 0.001), abs=0.01)
+    done = CliRunner().invoke(app, ["explain", "sigma", str(GOLDEN / "three_evidence")])
+    assert done.exit_code == 0 and "level and survey" in done.output
+    with pytest.raises(ConfigError, match="of which run"):
+        CliRunner().invoke(app, ["explain", "sigma"], catch_exceptions=False)
 
 
 def test_a_second_report_stands_beside_the_first(tmp_path: Path) -> None:

@@ -342,7 +342,8 @@ class Localizer(Revertible):
         place, spread_m2 = smoothed
         random_m2 = plus(seen.random_m2, times(own.kappa, minus(spread_m2, seen.random_m2)))
         arm_m = place[0] - before.x[0], place[1] - before.x[1], 0.0
-        return seen.target, Prior(place, random_m2, seen.t_ns, plus(seen.alike_m2, carried(arm_m, own.stays)))
+        systematic_m2 = plus(seen.alike_m2, carried(arm_m, own.stays))
+        return seen.target, filtered._replace(x_m=place, random_m2=random_m2, systematic_m2=systematic_m2)
 
     def best(self, others: Posterior | None, now_ns: int) -> Belief | None:
         """The aided pose of now where there is one, else the own; others: where all but this robot see `aid.target`."""

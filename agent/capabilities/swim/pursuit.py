@@ -227,6 +227,7 @@ class Pursuit(Revertible):
             sized=self._fleet.ranging.cues != "focus",
             velocity_m_s=None if believed is None else believed.v_m_s,
             tilt_sigma_rad=math.radians(play_deg) if gimbal.tracks else 0.0,
+            budget=self._fleet.budget,
         )
 
     def goes_with(self, situation: Situation) -> bool:

@@ -16,7 +16,7 @@ from zlib import crc32
 
 from agent.core.estimation.fuse import AGREE, Opinion
 from agent.core.estimation.interface import NOTHING, Bearing, Prior
-from agent.core.estimation.track import chord, line
+from agent.core.estimation.track import chord, line, outer
 from agent.core.linear_algebra import (
     ZERO,
     add,
@@ -44,7 +44,9 @@ INCARNATIONS = 4  # of one origin, the newest: a robot that restarts all day mus
 class Table(Revertible):
     """All entries of one epoch of one target: a state-based CRDT, whose join is `merge`."""
 
-    def __init__(self) -> None:
+    def __init__(self, scale: float = 0.0) -> None:
+        """scale: standard deviation of the share by which the ranges of all robots are long."""
+        self._scale = scale
         self.entries: dict[Key, Entry] = {}
         self.marks: dict[Key, int] = {}  # of each entry a checksum, by which neighbours see whether theirs is the same
         self.hearsay: set[Key] = set()  # entries that came from others than their origin
@@ -125,11 +127,11 @@ class Table(Revertible):
     def _opinion(self, origin: str) -> Opinion | None:
         if self._opinions[origin] is None:
             keys = sorted(key for key in self.entries if key[0] == origin)
-            self._opinions[origin] = opinion(origin, [self.entries[key] for key in reversed(keys)])
+            self._opinions[origin] = opinion(origin, [self.entries[key] for key in reversed(keys)], self._scale)
         return self._opinions[origin]
 
 
-def opinion(origin: str, entries: list[Entry]) -> Opinion | None:
+def opinion(origin: str, entries: list[Entry], scale: float = 0.0) -> Opinion | None:
     """One origin's mean over its incarnations, given newest first; None while some direction is unseen.
 
     The newest counts; older ones are added as long as their means agree with it. One that claims to have seen
@@ -138,6 +140,7 @@ def opinion(origin: str, entries: list[Entry]) -> Opinion | None:
     held to its lie, unless the lie looked like its own samples.
 
     Its systematic error is the same in every sample and in every incarnation, so it enters once and is never divided.
+    So does the error of its lever, though it is the same on all robots: between two of them it shows (see fuse.py).
     """
     information, vector, systematic, total = ZERO, (0.0, 0.0, 0.0), ZERO, 0.0
     lever_m = entries[0].lever_m if entries else (0.0, 0.0, 0.0)
@@ -153,9 +156,9 @@ def opinion(origin: str, entries: list[Entry]) -> Opinion | None:
     random = inverse(information)
     if random is None:
         return None
-    covariance = plus(random, times(1.0 / total, systematic))
+    covariance = plus(plus(random, times(1.0 / total, systematic)), times(scale * scale, outer(lever_m)))
     precision = inverse(covariance)
-    return None if precision is None else Opinion(origin, apply(random, vector), covariance, precision, lever_m)
+    return None if precision is None else Opinion(origin, apply(random, vector), covariance, precision, lever_m, random)
 
 
 def _agrees(information: Symmetric, vector: Vector, older: Entry) -> bool:

@@ -10,6 +10,11 @@ equally suspect, the place lies between what follows from either.
 
 No weight depends on what was said before: a robot that speaks the truth again is believed at once. Covariances hold the
 systematic error of their robot, so no robot grows surer than its survey and calibration allow.
+
+What all robots have wrong alike shows in no vote, and does not fall with their number. Where all ranges are long by a
+share eps, sigma S, the place by robot j is off by eps a_j, a_j its lever from camera to target, and the mean by eps g,
+g = sum W_j a_j. Where robots stand around the target g is small, on one side it is not. Opinions hold S^2 a_j a_j',
+for the vote; in the mean S^2 g g' takes the place of S^2 sum W_j a_j a_j' W_j'.
 """
 
 from __future__ import annotations
@@ -19,9 +24,20 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import accumulate
 from typing import Literal, NamedTuple
 
-from agent.core.estimation.track import Square, Track, add_times, image, product, square, symmetric_part, transpose
+from agent.core.estimation.track import (
+    Square,
+    Track,
+    add_times,
+    image,
+    outer,
+    product,
+    square,
+    symmetric_part,
+    transpose,
+)
 from agent.core.linear_algebra import (
     ZERO,
+    add,
     apply,
     difference,
     distance2,
@@ -54,9 +70,22 @@ class Opinion(NamedTuple):
 
     origin: str
     x_m: Vector
-    cov_m2: Symmetric  # random part, shrunk by its samples, plus systematic part
+    cov_m2: (
+        Symmetric  # random part, shrunk by its samples, plus systematic part, plus what the scale makes of its lever
+    )
     precision: Symmetric  # the inverse of that, 1/m^2
     lever_m: Vector = (0.0, 0.0, 0.0)  # from its camera to there
+    random_m2: Symmetric = ZERO
+
+
+class Common(NamedTuple):
+    """What all robots have wrong alike."""
+
+    place_m2: Symmetric = ZERO  # covariance: frame of the tank, level of the water
+    scale: float = 0.0  # standard deviation of the share by which all ranges are long
+
+
+NONE = Common()  # nothing
 
 
 class Ballot(NamedTuple):
@@ -87,6 +116,15 @@ class Doubt(NamedTuple):
         return 1.0 - self.strength * math.fsum(p for p, without in self.ways if origin in without.out)
 
 
+class Parts(NamedTuple):
+    """Of what the trace of a covariance is made, m^2."""
+
+    random_m2: float  # falls with more samples
+    own_m2: float  # what each robot has wrong for itself: falls with more robots
+    scale_m2: float  # of all ranges alike: falls where robots stand around
+    place_m2: float  # level and survey: does not fall
+
+
 class Fused(NamedTuple):
     """The agreed place, and how it came about."""
 
@@ -97,12 +135,12 @@ class Fused(NamedTuple):
     factors: dict[str, float]  # what counts of each origin's claim; 0: left out
     shares: dict[str, float]  # of each origin in the mean, by trace of information; sum 1
     sway_m: dict[str, float]  # of each in the group: from here to where the others would be without it
+    parts: Parts  # of those that agree, none of them doubted
 
 
-def fuse(opinions: Sequence[Opinion], common_m2: Symmetric = ZERO, liars: int = 1) -> Fused | None:
+def fuse(opinions: Sequence[Opinion], common: Common = NONE, liars: int = 1) -> Fused | None:
     """Fuse opinions given in the order of their names; None without any.
 
-    `common_m2`: covariance of errors that all robots share (tank frame, water), which no vote can see.
     `liars`: how many may be wrong at once, 1 or 2; two are looked for where as many agree as PAIRS says.
     """
     if not opinions:
@@ -114,21 +152,52 @@ def fuse(opinions: Sequence[Opinion], common_m2: Symmetric = ZERO, liars: int = 
     everybody = (apply(covariance, vector), covariance)
     singles = list(_leaving_one_out(group)) if len(group) >= DOUBTED else []
     doubt = _doubt(group, singles, liars)
-    certain = 1.0 - doubt.strength
-    places = [(certain, *everybody), *((doubt.strength * p, way.x_m, way.cov_m2) for p, way in doubt.ways)]
-    x, covariance = mixture(places) if doubt.ways else everybody
+    certain, parts = 1.0 - doubt.strength, _parts(group, covariance, common)
+    x, covariance = everybody = everybody[0], plus(covariance, _stretched(group, covariance, common.scale))
+    if doubt.ways:
+        x, covariance = mixture([(certain, *everybody), *_places(group, doubt, common.scale)])
     factors = {opinion.origin: doubt.factor(opinion.origin) for opinion in group}
     sizes = {opinion.origin: factors[opinion.origin] * trace(opinion.precision) for opinion in group}
     total = math.fsum(sizes.values())
     return Fused(
         x,
-        plus(covariance, common_m2),
+        plus(covariance, common.place_m2),
         ballot.verdict,
         ballot.votes,
         {opinion.origin: factors.get(opinion.origin, 0.0) for opinion in opinions},
         {name: size / total for name, size in sizes.items()},
         {name: math.dist(x, single.x_m) for single in singles for name in single.out},
+        parts,
     )
+
+
+def _places(group: Sequence[Opinion], doubt: Doubt, scale: float) -> Iterator[tuple[float, Vector, Symmetric]]:
+    """Where a group puts the target without those that may be wrong."""
+    for p, way in doubt.ways:
+        others = [opinion for opinion in group if opinion.origin not in way.out]
+        yield doubt.strength * p, way.x_m, plus(way.cov_m2, _stretched(others, way.cov_m2, scale))
+
+
+def _stretched(group: Sequence[Opinion], covariance: Symmetric, scale: float) -> Symmetric:
+    """S^2 (g g' - sum W a a' W'): what one scale for all makes of the mean of a group, beyond what each has of it."""
+    if scale == 0.0:
+        return ZERO
+    g, apart = (0.0, 0.0, 0.0), ZERO
+    for opinion in group:
+        moved = apply(covariance, apply(opinion.precision, opinion.lever_m))
+        g, apart = add(g, 1.0, moved), plus(apart, outer(moved))
+    return times(scale * scale, minus(outer(g), apart))
+
+
+def _parts(group: Sequence[Opinion], covariance: Symmetric, common: Common) -> Parts:
+    random_m2, scale2, g, apart_m2 = 0.0, common.scale * common.scale, (0.0, 0.0, 0.0), 0.0
+    for opinion in group:
+        weight = product(square(covariance), square(opinion.precision))
+        random_m2 += trace(symmetric_part(product(product(weight, square(opinion.random_m2)), transpose(weight))))
+        moved = image(weight, opinion.lever_m)
+        g, apart_m2 = add(g, 1.0, moved), apart_m2 + scale2 * inner(moved, moved)
+    own_m2 = max(trace(covariance) - random_m2 - apart_m2, 0.0)
+    return Parts(random_m2, own_m2, scale2 * inner(g, g), trace(common.place_m2))
 
 
 def mixture(places: Iterable[tuple[float, Vector, Symmetric]]) -> tuple[Vector, Symmetric]:
@@ -146,8 +215,8 @@ def mixture(places: Iterable[tuple[float, Vector, Symmetric]]) -> tuple[Vector, 
     return x, covariance
 
 
-def stretch(opinions: Sequence[Opinion]) -> tuple[float, float] | None:
-    """By which share all ranges are long, x_j = x + eps a_j with the levers a_j, and its sigma.
+def stretch(opinions: Sequence[Opinion], scale: float = 0.0) -> tuple[float, float] | None:
+    """By which share all ranges are long, x_j = x + eps a_j with the levers a_j, and its sigma, that of `scale` in it.
 
     It is fitted with the place, and used for words alone: fused so, a robot would move the place by its lever. None
     for fewer than three, or where the levers do not tell it.
@@ -162,7 +231,7 @@ def stretch(opinions: Sequence[Opinion]) -> tuple[float, float] | None:
     if known <= 0.0:
         return None
     seen = math.fsum(inner(of.lever_m, apply(of.precision, difference(of.x_m, x))) for of in opinions)
-    return seen / known, 1.0 / math.sqrt(known)
+    return seen / known, math.sqrt(1.0 / known + scale * scale)
 
 
 # --- origins that stand out ---

@@ -66,12 +66,14 @@ class MovingTarget(Revertible):
 
         A track remembers one or two samples of each robot at a sample a second, so the systematic error has no time to
         look as if it averaged out: random and systematic covariance count together. (Normalised error squared on the
-        experiment's circle, with systematic errors: 2.7 for ten robots, 2.95 for three.)
+        experiment's circle, with systematic errors: 2.7 for ten robots, 2.95 for three.) So does what the scale of all
+        ranges makes of the lever.
         """
         if isinstance(prior, Bearing):
             self._add_bearing(number, prior)
             return None
-        covariance = plus(floored(prior.random_m2), prior.systematic_m2)
+        stretched = times(self._me.common.scale**2, outer(prior.lever_m))
+        covariance = plus(plus(floored(prior.random_m2), prior.systematic_m2), stretched)
         information = inverse(covariance)
         if information is None:
             raise ValueError(f"covariance of the prior {covariance} is singular")
@@ -196,7 +198,7 @@ class MovingTarget(Revertible):
         if ballot.verdict == "ambiguous":
             alone = _posterior(self._mine) if valid and self._mine is not None else before
             return Conclusion(alone or posterior, "ambiguous", alpha, explain)
-        cov_m2 = plus(posterior.cov_m2, _of_ways(track, fresh, shares))
+        cov_m2 = plus(plus(posterior.cov_m2, _of_ways(track, fresh, shares)), self._me.common.place_m2)
         return Conclusion(posterior._replace(cov_m2=cov_m2), "track", alpha, explain)
 
     def _timed(self, fresh: dict[str, list[Held]]) -> dict[str, list[Held]]:

@@ -10,9 +10,10 @@ from collections.abc import Mapping, Sequence
 from agent.core.config import Fleet, Follow, Search, Target
 from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import Bounds
+from agent.core.estimation.fuse import NONE, Common
 from agent.core.estimation.interface import EstimateCache, Estimator, Posterior, Prior, Update, Word
-from agent.core.estimation.track import ROLLING, Dynamics, swimming
-from agent.core.linear_algebra import trace
+from agent.core.estimation.track import ROLLING, Dynamics, outer, swimming
+from agent.core.linear_algebra import plus, times, trace
 from agent.core.messages import Estimate, Explain, Symmetric, Vector
 from agent.core.step_transaction import Revertible
 from agent.core.trust import CachedMessage, Verify, verify_signature
@@ -30,11 +31,12 @@ def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Veri
     assert target in fleet.target
     validity_ns = round(fleet.estimation.validity_s * 1e9)
     neighbours = fleet.robot[me].neighbours
+    common = shared(fleet, target)
     match fleet.estimation.protocol:
         case "paper":
-            return Paper(validity_ns)
+            return Paper(validity_ns, common)
         case "metropolis":
-            return Metropolis(me, validity_ns, len(neighbours), fleet.estimation.clip)
+            return Metropolis(me, validity_ns, len(neighbours), fleet.estimation.clip, common)
         case "evidence":
             bounds = Bounds(frozenset(fleet.robot), fleet.tank.size_m, iteration_ns(fleet, target))
             return Evidence(
@@ -43,11 +45,22 @@ def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Veri
                 neighbours,
                 validity_ns,
                 bounds,
+                common=common,
                 liars=fleet.estimation.liars,
                 subject=(fleet.fleet, target),
                 verify=verify,
                 dynamics=dynamics(fleet.target[target]),
             )
+
+
+def shared(fleet: Fleet, target: str) -> Common:
+    """What all robots have wrong alike of where that target is, by the budget of the fleet file and by how well the
+    radius of a ball is known."""
+    budget, of = fleet.budget, fleet.target[target]
+    by_size = of.radius_m is not None and fleet.ranging.cues != "focus"
+    radius = of.radius_sigma_m / of.radius_m if by_size and of.radius_m else 0.0
+    level, survey = budget.level_m**2, budget.survey_m**2
+    return Common((survey, 0.0, 0.0, survey, 0.0, level), math.hypot(budget.scale, radius))
 
 
 def iteration_ns(fleet: Fleet, target: str) -> int:
@@ -78,7 +91,21 @@ def dynamics(target: Target) -> Dynamics:
 class Means(Revertible):
     """A protocol whose robots tell their means: a mean has no origin that could sign it."""
 
-    t: int  # iterations
+    def __init__(self, common: Common) -> None:
+        self._common = common
+        self._mean: Posterior | None = None  # without what all robots have wrong alike
+        self.t = 0  # iterations
+        self.valid = False
+
+    @property
+    def posterior(self) -> Posterior | None:
+        mean = self._mean
+        return None if mean is None else mean._replace(cov_m2=plus(mean.cov_m2, self._common.place_m2))
+
+    def _stretched(self, prior: Prior) -> Prior:
+        """A prior that has in its systematic error what the scale of all ranges makes of its lever."""
+        stretched = times(self._common.scale**2, outer(prior.lever_m))
+        return prior._replace(systematic_m2=plus(prior.systematic_m2, stretched))
 
     def by_others(self) -> Posterior | None:
         return None  # means have no origins
@@ -113,31 +140,30 @@ UNKNOWN: Symmetric = (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)  # 1 m: a neighbour that sta
 class Paper(Means):
     """State of one robot for one target."""
 
-    def __init__(self, validity_ns: int) -> None:
+    def __init__(self, validity_ns: int, common: Common = NONE) -> None:
+        super().__init__(common)
         self._validity_ns = validity_ns
-        self.t = 0
-        self.valid = False
-        self.posterior: Posterior | None = None
 
     def hear(self, letter: CachedMessage[Estimate]) -> tuple[str, ...]:
         return ()  # only the newest word counts, and the cache has it
 
     def say(self, to: str, now_ns: int) -> Word:
-        return Word(*self.posterior[:2]) if self.posterior else Word(None, None)
+        return Word(*self._mean[:2]) if self._mean else Word(None, None)
 
     def tick(self, prior: Prior | None, cache: EstimateCache, now_ns: int) -> Update:
         usable = cache.usable(now_ns, self._validity_ns)
         said = [(Posterior(e.x_m, e.cov_m2 or UNKNOWN), 1.0 / len(usable)) for _, e in usable if e.x_m is not None]
         self.valid = prior is not None
+        prior = None if prior is None else self._stretched(prior)
         alpha = 0.0
         if said and prior is not None:
             alpha = 1.0 / (self.t + 1)
-            self.posterior, rule = mix(said, prior, alpha), "mix"
+            self._mean, rule = mix(said, prior, alpha), "mix"
         elif said:
-            self.posterior, rule = mix(said, None, 0.0), "told"
+            self._mean, rule = mix(said, None, 0.0), "told"
         elif prior is not None:
             alpha = 1.0
-            self.posterior, rule = Posterior(prior.x_m, prior.cov_m2), "alone"
+            self._mean, rule = Posterior(prior.x_m, prior.cov_m2), "alone"
         else:
             rule = "hold"
         self.t += 1
@@ -193,19 +219,17 @@ CLIP = 3.0  # sigma of the own samples' mean: honest neighbours share most of th
 class Metropolis(Means):
     """State of one robot for one target."""
 
-    def __init__(self, me: str, validity_ns: int, degree: int, clip: bool = False) -> None:
+    def __init__(self, me: str, validity_ns: int, degree: int, clip: bool = False, common: Common = NONE) -> None:
+        super().__init__(common)
         self._me, self._validity_ns, self._degree, self._clip = me, validity_ns, degree, clip
         self._samples = 0
         self._traces_m2 = 0.0  # of their covariances, summed
-        self.t = 0
-        self.valid = False
-        self.posterior: Posterior | None = None
 
     def hear(self, letter: CachedMessage[Estimate]) -> tuple[str, ...]:
         return ()
 
     def say(self, to: str, now_ns: int) -> Word:
-        x_m, cov_m2 = self.posterior[:2] if self.posterior else (None, None)
+        x_m, cov_m2 = self._mean[:2] if self._mean else (None, None)
         return Word(x_m, cov_m2, degree=self._degree)
 
     def tick(self, prior: Prior | None, cache: EstimateCache, now_ns: int) -> Update:
@@ -213,25 +237,26 @@ class Metropolis(Means):
         said = {name: Posterior(e.x_m, e.cov_m2 or UNKNOWN) for name, e in usable if e.x_m is not None}
         weights = {name: self._weight(e) for name, e in usable}
         self.valid = prior is not None
+        prior = None if prior is None else self._stretched(prior)
         if prior is not None:
             self._samples, self._traces_m2 = self._samples + 1, self._traces_m2 + trace(prior.cov_m2)
-        anchor = self.posterior or prior
+        anchor = self._mean or prior
         if self._clip and anchor is not None and self._samples:
             said = {name: p._replace(x_m=self._drawn_in(p.x_m, anchor.x_m)) for name, p in said.items()}
         alpha = 0.0
-        if prior is not None and self.posterior is None and not said:
+        if prior is not None and self._mean is None and not said:
             alpha, rule = 1.0, "alone"
-            self.posterior = Posterior(prior.x_m, prior.cov_m2)
+            self._mean = Posterior(prior.x_m, prior.cov_m2)
         elif prior is not None:
             alpha = 1.0 / (self.t + 1)
-            said[self._me] = self.posterior or Posterior(prior.x_m, prior.cov_m2)
+            said[self._me] = self._mean or Posterior(prior.x_m, prior.cov_m2)
             weights[self._me] = 1.0 - sum(weights.values())
-            self.posterior = mix([(said[n], weights[n]) for n in said], prior, alpha)
+            self._mean = mix([(said[n], weights[n]) for n in said], prior, alpha)
             rule = "mix" if usable else "alone"
         elif said:
             total = sum(weights.values())
             weights = {name: w / total for name, w in weights.items()}
-            self.posterior, rule = mix([(said[n], weights[n]) for n in said], None, 0.0), "told"
+            self._mean, rule = mix([(said[n], weights[n]) for n in said], None, 0.0), "told"
         else:
             rule = "hold"
         self.t += 1

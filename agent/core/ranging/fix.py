@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from agent.core.config import Cues, Target
+from agent.core.config import CAREFUL, Budget, Cues, Target
 from agent.core.estimation.interface import Bearing
 from agent.core.linear_algebra import ZERO, cross, difference, plus, times
 from agent.core.messages import Symmetric, Vector
@@ -34,11 +34,6 @@ from agent.core.ranging.focus import at_tilt, h, range_variance
 from agent.core.target_state import bearing, ranged
 from agent.core.verdict import Ratio
 
-# Uncertainty of the robot's own pose; figures of the twin, which took them from tape measures and cheap sensors.
-PLACE_SIGMA_M = 0.0014  # x and y: surveyed to 1 mm, and moored to 1 mm
-HEIGHT_SIGMA_M = 0.0007  # pressure: what the tare leaves, and the drift of four sensors in the first minutes
-HEADING_SIGMA_DEG = 0.14  # surveyed to 0.1 degrees, and moored to 0.1
-LEVEL_SIGMA_DEG = 0.1  # roll and pitch: drift and noise of pressure over a base of 0.26 m
 BOX_NOISE = 0.05  # of a box's width and height: trackers jitter by so much, and people draw no better
 
 
@@ -47,7 +42,7 @@ class Fix(NamedTuple):
 
     position_m: Vector
     random_m2: Symmetric  # averages out over measurements
-    systematic_m2: Symmetric  # does not: calibration and survey, the same in every measurement of this robot
+    systematic_m2: Symmetric  # does not: the same in every measurement of this robot, and of no other
     focus_share: float = 1.0  # of the range, by focus; the rest by size
     lever_m: Vector = (0.0, 0.0, 0.0)  # from the camera to there
 
@@ -66,11 +61,13 @@ def locate(
     ball: Target,
     cues: Cues = "both",
     own: OwnPose | None = None,
+    budget: Budget = CAREFUL,
 ) -> Fix | NoRange:
     """The ball's centre from its outline in the sharpest frame and from the lens position of the clarity's peak.
 
     Of what is in a box: the point of its surface behind the middle of the box. own: how well a robot that swims knows
-    where it was then; None: it is moored.
+    where it was then; None: it is moored. budget: of it counts what each robot has wrong for itself; what all have
+    alike, the ball's radius too, is for whoever puts their measurements together (protocols.shared).
 
     NoRange where the wanted cues have no range, or contradict each other.
     """
@@ -91,14 +88,14 @@ def locate(
     shifts = [(push, px2) for push in pushed]
     boxed = [(push, (BOX_NOISE * side) ** 2) for push, side in zip(pushed, outline.size_px or (), strict=False)]
     arm = (x - eye.body_m[0], y - eye.body_m[1], z - eye.body_m[2])
-    level, heading = math.radians(LEVEL_SIGMA_DEG) ** 2, math.radians(HEADING_SIGMA_DEG) ** 2
-    place2 = PLACE_SIGMA_M**2
+    level, heading = math.radians(budget.attitude_deg) ** 2, math.radians(budget.heading_deg) ** 2
+    place2 = budget.place_m**2
     if own is not None:
         heading = place2 = 0.0  # `own` has them
     attitude = [
         (cross(e, arm), s) for e, s in (((1.0, 0.0, 0.0), level), ((0.0, 1.0, 0.0), level), ((0.0, 0.0, 1.0), heading))
     ]
-    place = [((1.0, 0.0, 0.0), place2), ((0.0, 1.0, 0.0), place2), ((0.0, 0.0, 1.0), HEIGHT_SIGMA_M**2)]
+    place = [((1.0, 0.0, 0.0), place2), ((0.0, 1.0, 0.0), place2), ((0.0, 0.0, 1.0), budget.height_m**2)]
     random_m2 = _sum([(r, d.random_m2), *turns, *shifts])
     systematic_m2 = _sum([(r, d.systematic_m2), *attitude, *place, *boxed])
     if own is not None:
@@ -135,8 +132,9 @@ def _sum(parts: Iterable[tuple[Vector, float]]) -> Symmetric:
 # known radius R is a cone of rays with the half angle theta, and its centre is at d = R / sin(theta), off the axis as
 # on it. Both give d from the point where the camera's rays meet, along the ray to the ball's centre.
 #
-# Each carries two variances. `random` averages out over measurements. `systematic` does not: the focus fit's own
-# covariance, the picture's scale, the ball's tolerance, and where an edge seems to lie.
+# Each carries three variances. `random` averages out over measurements. `systematic` does not: the focus fit's own
+# covariance, the picture's scale, and where an edge seems to lie. Nor does `shared`, which all robots have alike: the
+# ball's tolerance.
 
 # Measured on the twin, three cameras, clear and coastal water, 0.32 to 1.2 m: the radius of a whole, sharp outline is
 # off by 0.05 to 0.12 px (rms), mostly alike from frame to frame: texture at the rim, and blur that gamma makes uneven.
@@ -175,10 +173,11 @@ class Range(NamedTuple):
     random_m2: float
     systematic_m2: float
     focus_share: float = 1.0  # how much of it is by focus; the rest is by size
+    shared_m2: float = 0.0
 
     @property
     def variance_m2(self) -> float:
-        return self.random_m2 + self.systematic_m2
+        return self.random_m2 + self.systematic_m2 + self.shared_m2
 
 
 def distance(
@@ -208,9 +207,10 @@ def cue_ratio(
     if focus is None or ball.radius_m is None or outline.radius_px is None:
         return None
     size = size_range(camera, outline, ball)
+    stays_m2 = size.systematic_m2 + size.shared_m2
     random, systematic = (
         (f / focus.distance_m**2 + s / size.distance_m**2)
-        for f, s in ((focus.random_m2, size.random_m2), (focus.systematic_m2, size.systematic_m2))
+        for f, s in ((focus.random_m2, size.random_m2), (focus.systematic_m2, stays_m2))
     )
     return Ratio(math.log(focus.distance_m / size.distance_m), random, systematic)
 
@@ -247,8 +247,8 @@ def size_range(camera: CameraFit, outline: Outline, ball: Target) -> Range:
     """d = R / sin(theta), theta = radius_px / f_px at the lens position of the frame.
 
     Systematic: d / tan(theta) times the edge's bias in radians, the twin's or what vision states if that is more (it
-    grows as less of the outline is seen), d times the scale's relative error, d / R times the ball's tolerance, and
-    where rays meet.
+    grows as less of the outline is seen), d times the scale's relative error, and where rays meet. Shared: d / R times
+    the ball's tolerance.
     """
     assert ball.radius_m is not None and outline.radius_px is not None  # see distance()
     f_px = at_lens_position(camera, outline.lens_position).f_px
@@ -265,8 +265,9 @@ def size_range(camera: CameraFit, outline: Outline, ball: Target) -> Range:
     return Range(
         d,
         (per_px * EDGE_NOISE_PX) ** 2,
-        (per_px * bias_px) ** 2 + max(scale, 0.0) + tolerance * tolerance,
+        (per_px * bias_px) ** 2 + max(scale, 0.0),
         focus_share=0.0,
+        shared_m2=tolerance * tolerance,
     )
 
 
@@ -286,6 +287,7 @@ def fuse(focus: Range, size: Range) -> Range | NoRange:
         w * w * focus.random_m2 + v * v * size.random_m2,
         w * w * focus.systematic_m2 + v * v * size.systematic_m2,
         focus_share=w,
+        shared_m2=v * v * size.shared_m2,
     )
 
 
@@ -391,6 +393,7 @@ def sight_line(
     sized: bool = True,
     velocity_m_s: Vector | None = None,
     tilt_sigma_rad: float = 0.0,
+    budget: Budget = CAREFUL,
 ) -> Bearing:
     """The bearing of what a frame exposed at t_ns shows.
 
@@ -420,7 +423,7 @@ def sight_line(
     px_sigma = math.hypot(
         camera.noise_px, outline.centre_sigma_px, *_bent_px(outline, target, camera.f_px / range_m, side)
     )
-    sigma_rad = math.hypot(px_sigma / camera.f_px, gimbal_sigma_rad, math.radians(LEVEL_SIGMA_DEG))
+    sigma_rad = math.hypot(px_sigma / camera.f_px, gimbal_sigma_rad, math.radians(budget.attitude_deg))
     line = bearing((px, py, pz), r, range_m, sigma_rad, t_ns, pose_m2, sigma_m, way)
     if far_m is None:
         return line

@@ -17,7 +17,7 @@ import numpy as np
 from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from numpy.typing import NDArray
 
-from agent.core.config import Estimation, Fleet, Pose, Protocol, Robot, Tank, Target
+from agent.core.config import Budget, Estimation, Fleet, Pose, Protocol, Robot, Tank, Target
 from agent.core.estimation.interface import EstimateCache, Estimator, Prior, Update
 from agent.core.estimation.protocols import estimator
 from agent.core.linear_algebra import upper
@@ -357,7 +357,8 @@ def fleet(protocol: Protocol, graph: Graph, iteration_s: float, liars: int = 1, 
     return Fleet(
         fleet="lockstep",
         tank=Tank(),
-        target={TARGET: Target(radius_m=0.07)},
+        target={TARGET: Target(radius_m=0.07, radius_sigma_m=0.0)},
+        budget=Budget(level_m=0.0, survey_m=0.0, scale=0.0),  # nothing is wrong alike for all in these draws
         estimation=Estimation(
             protocol=protocol, iteration_s=iteration_s, validity_s=VALIDITY * iteration_s, liars=liars, clip=clip
         ),

@@ -15,6 +15,7 @@ import pytest
 from agent.core.codec import decode
 from agent.core.estimation.evidence import ENTRIES, Evidence, StaticTarget
 from agent.core.estimation.evidence_table import Bounds, Table
+from agent.core.estimation.fuse import NONE
 from agent.core.estimation.interface import Prior
 from agent.core.estimation.modes import Me
 from agent.core.estimation.protocols import Metropolis, Paper
@@ -276,7 +277,7 @@ def full(a):
 
 def heard_by(name, order=ORIGINS):
     """r1's or somebody's state after its own samples and all entries of others, which came in that order."""
-    me = Me((name, 4), ("r2", "r3", "r4"), BOUNDS, 14, (0.0,) * 6, Authority(("r2", "r3", "r4")), ("tank", "ball"))
+    me = Me((name, 4), ("r2", "r3", "r4"), BOUNDS, 14, NONE, Authority(("r2", "r3", "r4")), ("tank", "ball"))
     state = StaticTarget(me, Epoch())
     for k, key in enumerate(order):
         if key == me.key:

@@ -9,7 +9,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.core.estimation import fuse as fusing
-from agent.core.estimation.fuse import AGREE, BOTH_LOW, HIGH, LOW, TEMPER, Blocks, Opinion, distances2, doubts, fuse
+from agent.core.estimation.fuse import (
+    AGREE,
+    BOTH_LOW,
+    HIGH,
+    LOW,
+    TEMPER,
+    Blocks,
+    Common,
+    Opinion,
+    distances2,
+    doubts,
+    fuse,
+)
 from agent.core.estimation.fuse import inverse as inverse_blocks
 from agent.core.estimation.track import begin, correct, predict
 from agent.core.linear_algebra import apply, inverse, invert, upper
@@ -138,9 +150,61 @@ def test_close_opinions_give_the_weighted_least_squares_mean() -> None:
 
 
 def test_the_common_error_is_added_and_cannot_be_averaged_away() -> None:
-    common = (1e-6, 0.0, 0.0, 1e-6, 0.0, 4e-6)
+    place_m2 = (1e-6, 0.0, 0.0, 1e-6, 0.0, 4e-6)
     opinions = crowd(4, RNG)
-    assert np.subtract(fuse(opinions, common).cov_m2, fuse(opinions).cov_m2) == pytest.approx(common)
+    assert np.subtract(fuse(opinions, Common(place_m2)).cov_m2, fuse(opinions).cov_m2) == pytest.approx(place_m2)
+
+
+SCALE, SPREADS = 0.01, {"around": 2.0 * math.pi, "one side": 0.7}
+
+
+def watchers(n, spread_rad, rng, scale=SCALE, eps=0.0):
+    """Opinions of robots 0.6 m from the target, whose ranges are all long by eps."""
+    truth, found = np.array([0.7, 0.5, 0.1]), []
+    for k in range(n):
+        angle = spread_rad * k / n
+        lever = 0.6 * np.array([math.cos(angle), math.sin(angle), 0.1])
+        root = np.linalg.qr(np.column_stack([lever, *rng.standard_normal((2, 3))]))[0] * [0.002, 0.001, 0.001]
+        own = root @ root.T
+        of = opinion(f"r{k:03d}", truth + eps * lever + root @ rng.standard_normal(3), own + scale**2 * outer(lever))
+        found.append(of._replace(lever_m=tuple(lever.tolist()), random_m2=upper(0.25 * own)))
+    return found
+
+
+def outer(v):
+    return np.outer(v, v)
+
+
+@pytest.mark.parametrize("n", [3, 15])
+@pytest.mark.parametrize("where", SPREADS)
+def test_one_scale_of_all_ranges_is_in_the_mean_as_in_matrices(where: str, n: int) -> None:
+    group = watchers(n, SPREADS[where], np.random.default_rng(7))
+    P = np.linalg.inv(sum(np.linalg.inv(full(o.cov_m2)) for o in group))
+    W = [P @ np.linalg.inv(full(o.cov_m2)) for o in group]
+    g = sum(w @ o.lever_m for w, o in zip(W, group, strict=True))
+    own = [full(o.cov_m2) - SCALE**2 * outer(o.lever_m) for o in group]
+    expected = sum(w @ r @ w.T for w, r in zip(W, own, strict=True)) + SCALE**2 * outer(g)
+    fused = fuse(group, Common(scale=SCALE))
+    if all(factor == 1.0 for factor in fused.factors.values()):
+        assert full(fused.cov_m2) == pytest.approx(expected, rel=1e-9, abs=1e-15)
+    random_m2 = sum(np.trace(w @ r @ w.T) for w, r in zip(W, own, strict=True)) / 4.0
+    assert fused.parts == pytest.approx((random_m2, 3.0 * random_m2, SCALE**2 * float(g @ g), 0.0))
+
+
+@pytest.mark.parametrize("n", [3, 15])
+@pytest.mark.parametrize("where", SPREADS)
+def test_a_fleet_whose_ranges_are_all_long_says_so_in_its_sigma(where: str, n: int) -> None:
+    """Mean NEES 3: on one side fifteen robots know no more of the range than one."""
+    rng, nees, blind = np.random.default_rng(n), [], []
+    for _ in range(300):
+        eps = SCALE * rng.standard_normal()
+        fused = fuse(watchers(n, SPREADS[where], rng, eps=eps), Common(scale=SCALE))
+        unaware = fuse(watchers(n, SPREADS[where], rng, scale=0.0, eps=eps))
+        for found, of in ((nees, fused), (blind, unaware)):
+            error = np.subtract(of.x_m, (0.7, 0.5, 0.1))
+            found.append(error @ np.linalg.solve(full(of.cov_m2), error))
+    assert 2.4 <= np.mean(nees) <= 3.6
+    assert np.mean(blind) > 9.0 or where == "around"
 
 
 @pytest.mark.parametrize("n", [3, 5, 80])

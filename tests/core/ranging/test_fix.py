@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.core.config import Body, Pose, Target
+from agent.core.config import CAREFUL, Body, Pose, Target
 from agent.core.estimation.track import FixedLagFilter, Held, swimming
 from agent.core.ranging import fix
 from agent.core.ranging.camera_model import (
@@ -151,8 +151,8 @@ def test_systematic_covariance_is_that_of_draws(cue, d, off):
     of_scale = root(np.array([[ff, fa], [fa, aa]]))
     look_up = math.asin(here.rotation[2][2])
     lens_sigma = FOCUS.width * math.hypot(UNKNOWN_SAG * math.sin(look_up), fix.WARMTH)
-    angles = np.radians([fix.LEVEL_SIGMA_DEG, fix.LEVEL_SIGMA_DEG, fix.HEADING_SIGMA_DEG])
-    place = np.array([fix.PLACE_SIGMA_M, fix.PLACE_SIGMA_M, fix.HEIGHT_SIGMA_M])
+    angles = np.radians([CAREFUL.attitude_deg, CAREFUL.attitude_deg, CAREFUL.heading_deg])
+    place = np.array([CAREFUL.place_m, CAREFUL.place_m, CAREFUL.height_m])
     places = []
     for e in rng.normal(0, 1, (DRAWS, 14)):
         rotation = turn((1, 0, 0), angles[0] * e[0]) @ turn((0, 1, 0), angles[1] * e[1])
@@ -162,10 +162,9 @@ def test_systematic_covariance_is_that_of_draws(cue, d, off):
         focus = replace(FOCUS, u_inf_m=FOCUS.u_inf_m + a, b_m=FOCUS.b_m + b, rho0=FOCUS.rho0 + c)
         grown, ahead = of_scale @ e[9:11]
         camera = replace(CAMERA, f_px=CAMERA.f_px * (1 + grown), ahead_m=CAMERA.ahead_m + ahead)
-        ball = replace(BALL, radius_m=BALL.radius_m + BALL.radius_sigma_m * e[11])
         look = outline._replace(radius_px=outline.radius_px + fix.EDGE_BIAS_PX * e[12])
         known = replace(KNOWN, focus=focus, camera=camera)
-        places.append(fixed_weights(there, look, rho + lens_sigma * e[13], cue, ours, known, ball))
+        places.append(fixed_weights(there, look, rho + lens_sigma * e[13], cue, ours, known))
     agree(matrix(ours.systematic_m2), np.array(places))
 
 
@@ -186,7 +185,7 @@ def test_beyond_the_pole_only_the_size_tells():
 
 
 def test_a_robot_that_swims_puts_its_own_pose_in_place_of_the_survey():
-    here, xx, rad = eye(), fix.PLACE_SIGMA_M**2, math.radians(fix.HEADING_SIGMA_DEG) ** 2
+    here, xx, rad = eye(), CAREFUL.place_m**2, math.radians(CAREFUL.heading_deg) ** 2
     outline, rho, _ = seen(here, 0.5, (0.1, 0.05))
     survey, none = (xx, 0.0, 0.0, xx, 0.0, rad), (0.0,) * 6
     moored, as_moored, swims = (
@@ -463,7 +462,7 @@ def test_part_of_an_outline_a_rough_ball_and_a_rough_scale_are_worth_less():
     rough = size_range(
         SIZE_CUE_CAMERA, size_cue_outline(0.4), replace(SIZE_CUE_BALL, radius_sigma_m=0.0007)
     )  # one percent
-    assert rough.systematic_m2 - whole.systematic_m2 == pytest.approx(0.004**2, rel=1e-9)
+    assert rough.shared_m2 == pytest.approx(0.004**2, rel=1e-9) and rough.systematic_m2 == whole.systematic_m2
     scaled = size_range(
         replace(SIZE_CUE_CAMERA, scale_covariance=(1e-6, 0.0, 0.0)), size_cue_outline(0.4), SIZE_CUE_BALL
     )

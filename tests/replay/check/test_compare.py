@@ -153,6 +153,9 @@ def test_a_schema_that_we_cannot_read_is_named_in_one_line(schema: str) -> None:
         (Difference("state.battery_v", 14.0, 13.9), False),
         (Difference("state.ladder", ABSENT, 0), True),
         (Difference("state.posterior_m", ABSENT, 1.0), False),
+        (Difference("state.posterior_m[0]", 1.0, 1.1), False),
+        (Difference("state.posterior_sigma_m", 0.001, 0.002), True),
+        (Difference("says[0].cov_m2[5]", 1e-6, 2e-6), True),
         (Difference("state.refused.flood", ABSENT, 1), False),
     ],
 )
