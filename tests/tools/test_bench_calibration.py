@@ -5,10 +5,23 @@ import math
 import cv2
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.core.config import Body, ConfigError, Fleet, Pose, Robot, Target
-from agent.core.ranging.focus import h
-from agent.tools.bench_calibration import COLUMNS, ROWS, SETTINGS, calibrate, find_corners, setting
+from agent.core.ranging.camera_model import camera_pose, ray, to_world
+from agent.core.ranging.focus import Peak, h
+from agent.tools import bench_calibration
+from agent.tools.bench_calibration import (
+    COLUMNS,
+    ROWS,
+    SAG_AT_M,
+    SAG_TILTS_DEG,
+    SETTINGS,
+    calibrate,
+    find_corners,
+    setting,
+    tilted_peaks,
+)
 from agent.tools.focus_calibration import CalibrationRefused
 from hw.camera.camera import FocusRange, Frame, Roi
 from tests.perception.painted import (
@@ -109,6 +122,22 @@ def test_range_is_right_to_a_few_millimetres(measured):
     assert fit.rho0 == pytest.approx(POLE, abs=12)
     assert fit.r2 > 0.999
     assert abs(fit.sag) < 3 * fit.sag_sigma < 6  # the painted lens weighs nothing
+
+
+def test_a_tilted_board_is_as_far_as_where_the_middle_of_the_picture_shows_it(fleet, monkeypatch):
+    seen, middle = replace(CAMERA, cx_px=316.0, cy_px=232.0, tilt_zero_deg=0.6), (319.5, 239.5)
+    monkeypatch.setattr(bench_calibration, "board_peak", lambda *_: Peak(400.0, 0.1, 100.0, 1.0))
+    pose, body = Pose(x_m=0.0, y_m=0.0, yaw_deg=0.0), replace(fleet.body, camera_m=(0.0, 0.0, 0.0))
+    boards = []
+    peaks = tilted_peaks(fleet, BenchCamera(), seen, lambda board_m, us: boards.append(board_m), lambda *_: None)
+    assert len(peaks) == len(SAG_AT_M) * len(SAG_TILTS_DEG)
+    for (ahead_m, _, up_m), peak in zip(boards[1::2], peaks, strict=True):
+        eye = camera_pose(pose, body, 0.0, 0.0, 0.0, 0.0, math.degrees(peak.tilt_rad), 0.0)
+        axis = to_world(eye, (0.0, 0.0, 1.0))
+        assert up_m / ahead_m == pytest.approx(axis[2] / axis[0])  # the axis meets the board's centre
+        m = ray(seen, middle)
+        x, _, _ = to_world(eye, tuple(peak.u_m / m[2] * c for c in m))
+        assert x == pytest.approx(ahead_m)
 
 
 def test_camera_and_servos_are_right(measured):
