@@ -17,7 +17,7 @@ from agent.capabilities.swim.aided_pose import Aid, Seen, offset_m
 from agent.capabilities.swim.barrier import STILL as AT_REST
 from agent.capabilities.swim.event_ring import Event, EventRing, asked, fix, flow, rate
 from agent.capabilities.swim.landmarks import markers
-from agent.capabilities.swim.plane_odometry import by_things, odometry
+from agent.capabilities.swim.plane_odometry import Moved, by_things, odometry
 from agent.capabilities.swim.pose_filter import Belief, Drift, Hull, Wrench, basin, begin, learnt
 from agent.capabilities.swim.projection import readable, view
 from agent.capabilities.swim.tag_fix import (
@@ -193,6 +193,9 @@ ROLLING_RAD_S = math.radians(5.0)
 # once in a second: a filter that takes each for a witness of its own would count the same error so often.
 ALIKE = 10.0
 AWAY_S = 1.0  # for which a camera that turns away sees no landmarks
+# For so long after tags, or points, agreed with what a robot believes it knows its own motion well enough to tell the
+# tank from a thing that swims by. Later, where points have contradicted it meanwhile, only tags can tell.
+TELLS_NS = 1_000_000_000
 SWIFTLY_S = 0.5  # the same of one that goes with what swims, and has some behind that soon
 # Frames with tags of the last time, and shares of them without a pose: suspect, contradicted.
 JUDGED_NS, FEWEST = 30_000_000_000, 10
@@ -231,6 +234,7 @@ class Localizer(Revertible):
         self._ring: EventRing | None = None
         self.aid = Aid(self.hull, self._basin)
         self._asked = STILL
+        self._followed_ns = 0  # exposure of the newest frame with enough points, whatever they said
         self._fixes_ns: deque[int] = deque()
         self._sampled_ns: int | None = None
         self._unsettled: Unsettled | None = None
@@ -266,7 +270,7 @@ class Localizer(Revertible):
             self._ring = EventRing(begun, self.hull, Drift(), within=self._basin)
             self._asked = STILL
             self.aid.reset()
-        elif not self._tell(fix(frame.t_ns, pose, found.fluctuates, found.stays)):
+        elif not self._tell(fix(frame.t_ns, pose, found.fluctuates, found.stays, found.tags - found.odd)):
             return
         self._fixes_ns.append(frame.t_ns)
 
@@ -289,7 +293,11 @@ class Localizer(Revertible):
             lags = math.radians(then.gimbal.lag_sigma_deg), math.radians(now.gimbal.lag_sigma_deg)
             unsettled = math.hypot(math.sqrt(ALIKE) * unsettled, *lags)
         moved = odometry(of, start, end, seen.pairs, self._water_m, unsettled, wake, others_m)
-        if moved is None:
+        if moved == "too few":
+            return
+        contradicted = self._followed_ns > before.agreed_ns
+        self._followed_ns = max(self._followed_ns, seen.t_ns)
+        if not isinstance(moved, Moved) or (contradicted and seen.t_ns - before.agreed_ns > TELLS_NS):
             return
         covariance = moved.covariance
         if then.gimbal.tracks or now.gimbal.tracks:

@@ -24,7 +24,7 @@ from agent.capabilities.swim.localizer import (
     foresees,
     within,
 )
-from agent.capabilities.swim.pose_filter import BIAS, Drift, Hull, begin, predict
+from agent.capabilities.swim.pose_filter import AGREEING, BIAS, Drift, Hull, begin, predict
 from agent.capabilities.swim.swim import swimmer_of
 from agent.capabilities.swim.tag_fix import NoFix
 from agent.core.attitude import Attitude
@@ -75,6 +75,15 @@ def test_no_fix_by_a_rolling_shutter_while_the_robot_turns() -> None:
         one._ring._settled[-1] = began._replace(x=(*began.x[:5], math.radians(20.0), *began.x[6:]))
         one.see(SeenTags(t_ns=10**9 + 1_000_000, frame=2, tags=tuple(sight(THETA))), LEVEL)
         assert (one.refused == "") is taken and (len(one.events) == 1) is taken
+
+
+@pytest.mark.parametrize("tags", [2, 4])
+def test_where_three_tags_agree_two_frames_are_believed(tags) -> None:
+    one, elsewhere = Localizer(fleet(), CALIBRATION), (THETA[0] + 0.2, THETA[1], *THETA[2:])
+    for k, theta in enumerate((THETA, elsewhere, elsewhere)):
+        one.see(SeenTags(t_ns=10**9 + k * 10**8, frame=k, tags=tuple(sight(theta)[:tags])), LEVEL)
+    here = one.at(10**9 + 2 * 10**8)
+    assert (here.restarts, here.refused) == ((1, 0) if tags >= AGREEING else (0, 2))
 
 
 @pytest.mark.parametrize(
