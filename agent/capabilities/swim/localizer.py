@@ -234,7 +234,7 @@ class Localizer(Revertible):
         self._ring: EventRing | None = None
         self.aid = Aid(self.hull, self._basin)
         self._asked = STILL
-        self._followed_ns = 0  # exposure of the newest frame with enough points, whatever they said
+        self._followed_ns = 0  # exposure of the newest frame whose points agreed with it, or contradicted it
         self._fixes_ns: deque[int] = deque()
         self._sampled_ns: int | None = None
         self._unsettled: Unsettled | None = None
@@ -284,6 +284,8 @@ class Localizer(Revertible):
         key, before = self.at(seen.since_ns), self.at(seen.t_ns)
         if self._ring is None or key is None or before is None or adrift(before):
             return
+        if self._followed_ns > before.agreed_ns and seen.t_ns - before.agreed_ns > TELLS_NS:
+            return
         of = view(self._camera, self._body, self._surface_m, focus)
         start, end = whole(key.pose, _priors(then, key)), whole(before.pose, _priors(now, before))
         settling = (not then.gimbal.rests) + (not now.gimbal.rests)
@@ -295,14 +297,15 @@ class Localizer(Revertible):
         moved = odometry(of, start, end, seen.pairs, self._water_m, unsettled, wake, others_m)
         if moved == "too few":
             return
-        contradicted = self._followed_ns > before.agreed_ns
+        if isinstance(moved, Moved):
+            covariance = moved.covariance
+            if then.gimbal.tracks or now.gimbal.tracks:
+                covariance = plus(covariance, times(ALIKE, by_things(moved.pose)))
+            self._tell(flow(seen.t_ns, seen.since_ns, moved.pose, covariance))
+            after = self.at(seen.t_ns)
+            if after is None or after.key_ns != seen.since_ns:
+                return  # nothing was compared: the key frame was let go
         self._followed_ns = max(self._followed_ns, seen.t_ns)
-        if not isinstance(moved, Moved) or (contradicted and seen.t_ns - before.agreed_ns > TELLS_NS):
-            return
-        covariance = moved.covariance
-        if then.gimbal.tracks or now.gimbal.tracks:
-            covariance = plus(covariance, times(ALIKE, by_things(moved.pose)))
-        self._tell(flow(seen.t_ns, seen.since_ns, moved.pose, covariance))
 
     def turning(self, measured: Rate) -> None:
         """A gyro's yaw rate; only of a fleet whose robots have one."""
