@@ -51,9 +51,9 @@ def asked(t_ns: int, wrench: Wrench) -> Event:
     return Event(t_ns, "1 asked", 0, wrench)
 
 
-def fix(t_ns: int, pose: Vector, fluctuates: Symmetric, stays: Symmetric) -> Event:
-    """Tags put the robot there (TagFix)."""
-    return Event(t_ns, "2 fix", 0, (*pose, *fluctuates, *stays))
+def fix(t_ns: int, pose: Vector, fluctuates: Symmetric, stays: Symmetric, agreeing: int = 1) -> Event:
+    """Tags put the robot there (TagFix); agreeing: how many of them say the same."""
+    return Event(t_ns, "2 fix", 0, (*pose, *fluctuates, *stays, agreeing))
 
 
 def flow(t_ns: int, since_ns: int, moved: Vector, covariance: Symmetric) -> Event:
@@ -174,7 +174,7 @@ def _apply(belief: Belief, hull: Hull, event: Event) -> Belief:
             return ask(belief, hull, (v[0], v[1], v[2]))
         case "2 fix":
             fluctuates, stays = (v[3], v[4], v[5], v[6], v[7], v[8]), (v[9], v[10], v[11], v[12], v[13], v[14])
-            return add_fix(belief, (v[0], v[1], v[2]), fluctuates, stays)
+            return add_fix(belief, (v[0], v[1], v[2]), fluctuates, stays, int(v[15]))
         case "3 flow":
             return add_flow(belief, event.since_ns, (v[0], v[1], v[2]), (v[3], v[4], v[5], v[6], v[7], v[8]))
         case "4 key":

@@ -17,7 +17,7 @@ from agent.capabilities.swim.aided_pose import Aid, Seen, offset_m
 from agent.capabilities.swim.barrier import STILL as AT_REST
 from agent.capabilities.swim.event_ring import Event, EventRing, asked, fix, flow, rate
 from agent.capabilities.swim.landmarks import markers
-from agent.capabilities.swim.plane_odometry import by_things, odometry
+from agent.capabilities.swim.plane_odometry import Moved, by_things, odometry
 from agent.capabilities.swim.pose_filter import Belief, Drift, Hull, Wrench, basin, begin, learnt
 from agent.capabilities.swim.projection import readable, view
 from agent.capabilities.swim.tag_fix import (
@@ -193,6 +193,9 @@ ROLLING_RAD_S = math.radians(5.0)
 # once in a second: a filter that takes each for a witness of its own would count the same error so often.
 ALIKE = 10.0
 AWAY_S = 1.0  # for which a camera that turns away sees no landmarks
+# For so long after tags, or points, agreed with what a robot believes it knows its own motion well enough to tell the
+# tank from a thing that swims by. Later, where points have contradicted it meanwhile, only tags can tell.
+TELLS_NS = 1_000_000_000
 SWIFTLY_S = 0.5  # the same of one that goes with what swims, and has some behind that soon
 # Frames with tags of the last time, and shares of them without a pose: suspect, contradicted.
 JUDGED_NS, FEWEST = 30_000_000_000, 10
@@ -231,6 +234,7 @@ class Localizer(Revertible):
         self._ring: EventRing | None = None
         self.aid = Aid(self.hull, self._basin)
         self._asked = STILL
+        self._followed_ns = 0  # exposure of the newest frame whose points agreed with it, or contradicted it
         self._fixes_ns: deque[int] = deque()
         self._sampled_ns: int | None = None
         self._unsettled: Unsettled | None = None
@@ -266,7 +270,7 @@ class Localizer(Revertible):
             self._ring = EventRing(begun, self.hull, Drift(), within=self._basin)
             self._asked = STILL
             self.aid.reset()
-        elif not self._tell(fix(frame.t_ns, pose, found.fluctuates, found.stays)):
+        elif not self._tell(fix(frame.t_ns, pose, found.fluctuates, found.stays, found.tags - found.odd)):
             return
         self._fixes_ns.append(frame.t_ns)
 
@@ -280,6 +284,8 @@ class Localizer(Revertible):
         key, before = self.at(seen.since_ns), self.at(seen.t_ns)
         if self._ring is None or key is None or before is None or adrift(before):
             return
+        if self._followed_ns > before.agreed_ns and seen.t_ns - before.agreed_ns > TELLS_NS:
+            return
         of = view(self._camera, self._body, self._surface_m, focus)
         start, end = whole(key.pose, _priors(then, key)), whole(before.pose, _priors(now, before))
         settling = (not then.gimbal.rests) + (not now.gimbal.rests)
@@ -289,12 +295,17 @@ class Localizer(Revertible):
             lags = math.radians(then.gimbal.lag_sigma_deg), math.radians(now.gimbal.lag_sigma_deg)
             unsettled = math.hypot(math.sqrt(ALIKE) * unsettled, *lags)
         moved = odometry(of, start, end, seen.pairs, self._water_m, unsettled, wake, others_m)
-        if moved is None:
+        if moved == "too few":
             return
-        covariance = moved.covariance
-        if then.gimbal.tracks or now.gimbal.tracks:
-            covariance = plus(covariance, times(ALIKE, by_things(moved.pose)))
-        self._tell(flow(seen.t_ns, seen.since_ns, moved.pose, covariance))
+        if isinstance(moved, Moved):
+            covariance = moved.covariance
+            if then.gimbal.tracks or now.gimbal.tracks:
+                covariance = plus(covariance, times(ALIKE, by_things(moved.pose)))
+            self._tell(flow(seen.t_ns, seen.since_ns, moved.pose, covariance))
+            after = self.at(seen.t_ns)
+            if after is None or after.key_ns != seen.since_ns:
+                return  # nothing was compared: the key frame was let go
+        self._followed_ns = max(self._followed_ns, seen.t_ns)
 
     def turning(self, measured: Rate) -> None:
         """A gyro's yaw rate; only of a fleet whose robots have one."""

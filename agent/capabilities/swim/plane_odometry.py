@@ -10,6 +10,10 @@ t, dpsi and e minimise the sum of squares, by Gauss-Newton. e, by which all poin
 noise of the level does (0.05 degrees, which looks like 6 mm of way on a floor 1.2 m off), its wake or a gimbal that
 settles.
 
+Some points lie on a thing that swims, maybe most of them. They agree with each other, but not with the motion that the
+robot expects of itself. So the points that count are at first those near where that motion puts them, and then those
+near where they themselves put all; how near goes by the best quarter of all points.
+
 Always from the key frame, never from the frame before: increments would be wrong one after the other.
 """
 
@@ -17,7 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from agent.capabilities.swim.projection import Theta, Upright, View, direction, upright
 from agent.core.linear_algebra import backward, cholesky, forward, lower_inverse, wrap
@@ -26,7 +30,8 @@ from agent.core.messages import Symmetric, Vector
 FARTHEST_M = 3.0  # of a point from the camera
 FEWEST = 12  # points that agree
 ROUNDS, SETTLED = 5, 1e-4  # m and rad: a tenth of what a point errs; the next step would be a hundredth of that
-STRAY = 3.0  # times the median residual: beyond it a point was mistaken for another, or swims
+STRAY = 3.0  # times the median residual of the tank's points: beyond it a point was mistaken for another, or swims
+MEDIAN = 1.55  # times the quarter's: the median of such residuals (Rayleigh's distribution)
 SEEN_RAD = 0.0005  # sigma of a point's direction at least: half a pixel
 AGREE_RAD = 0.004  # median residual of points that lie on floor and walls: four pixels
 STANDS_M = 0.002  # sigma of a robot that stays where it is: level noise of two frames
@@ -42,6 +47,7 @@ LONGEST_M = 0.5  # new key frames are due every 0.25 m; what is farther than twi
 Planar = tuple[float, float]
 Pair = tuple[float, float, float, float]  # slopes x, y then; x, y now
 Box = tuple[float, float, float]  # length, breadth and depth of the water, m
+Silence = Literal["too few", "contrary"]  # points there are; or none of their motions is the tank's
 
 
 class Point(NamedTuple):
@@ -69,8 +75,8 @@ def odometry(
     unsettled: float,
     wake: float = 0.0,
     others_m: Sequence[Vector] = (),
-) -> Moved | None:
-    """None where too few points agree.
+) -> Moved | Silence:
+    """How it moved, or why that is not known.
 
     then, now: at either exposure; place and yaw of then tell which wall a ray meets, those of now where to begin.
     unsettled: sigma of the angle that a gimbal which was not at rest may be off by, rad; wake: of what the level is off
@@ -85,25 +91,24 @@ def odometry(
         x, y, z = direction(eye_now, (x_now, y_now))
         if not _towards(eye_now, now, (x, y), others_m):
             points.append(Point(place_m, math.atan2(y, x), math.atan2(z, math.hypot(x, y))))
-    state, kept, off, L = [*_between(then, now), 0.0], points, 0.0, None
+    if len(points) < FEWEST:
+        return "too few"
+    state, L = [*_between(then, now), 0.0], None
+    kept, off = _agree(eye_now, state, points)
     lift = math.hypot(LEVEL_RAD, unsettled, wake)
     for _ in range(ROUNDS):
-        if len(kept) < FEWEST:
-            return None
         H, g = _normal(eye_now, state, kept, lift / max(off, SEEN_RAD))
-        L = cholesky(H)
+        L = cholesky(H) if len(kept) >= FEWEST else None
         if L is None:
-            return None
+            return "contrary"
         step = backward(L, forward(L, g))
         state = [a + b for a, b in zip(state, step, strict=True)]
-        misses = [_miss(eye_now, state, point) for point in points]
-        off = sorted(misses)[len(misses) // 2]
-        kept = [point for point, miss in zip(points, misses, strict=True) if miss <= STRAY * max(off, SEEN_RAD)]
+        kept, off = _agree(eye_now, state, points)
         if max(map(abs, step)) < SETTLED:
             break
     way_m = math.hypot(state[0], state[1])
     if L is None or len(kept) < FEWEST or off > AGREE_RAD or way_m > LONGEST_M:
-        return None
+        return "contrary"
     C, s2 = lower_inverse(L), max(off, SEEN_RAD) ** 2
     m2, rad2 = STANDS_M * STANDS_M + (OF_WAY * way_m) ** 2, TURN_RAD * TURN_RAD + unsettled * unsettled
     covariance = s2 * C[0][0] + m2, s2 * C[0][1], s2 * C[0][2], s2 * C[1][1] + m2, s2 * C[1][2], s2 * C[2][2] + rad2
@@ -149,6 +154,13 @@ def _towards(eye: Upright, at: Theta, way: Planar, others_m: Sequence[Vector]) -
         if u * way_x + v * way_y > 0.0 and abs(u * way_y - v * way_x) < OTHER_M * flat:
             return True
     return False
+
+
+def _agree(eye: Upright, state: Sequence[float], points: Sequence[Point]) -> tuple[list[Point], float]:
+    """The points that are about where they should be after that motion, and their median residual."""
+    misses = [_miss(eye, state, point) for point in points]
+    off = MEDIAN * sorted(misses)[len(misses) // 4]
+    return [point for point, miss in zip(points, misses, strict=True) if miss <= STRAY * max(off, SEEN_RAD)], off
 
 
 def _between(then: Theta, now: Theta) -> Vector:

@@ -135,6 +135,7 @@ class Belief(NamedTuple):
     asked: Wrench = (0.0, 0.0, 0.0)
     key_ns: int | None = None  # exposure of the key frame whose clone is in the state
     refused: int = 0  # fixes in a row
+    agreed_ns: int = 0  # exposure of the newest frame whose tags, or points, agreed with it
     restarts: int = 0
     stays: Symmetric = ZERO  # of the newest fix, (x, y, psi)
     nis: float = 0.0  # of the newest measurement
@@ -160,7 +161,7 @@ def begin(t_ns: int, pose: Vector, covariance: Symmetric, stays: Symmetric = ZER
     P[0][:3], P[1][:3], P[2][:3] = [xx, xy, xp], [xy, yy, yp], [xp, yp, pp]
     for i, variance in enumerate(variances, start=3):
         P[i][i] = variance
-    return Belief(t_ns, (*pose, *(0.0,) * (n - 3)), frozen(P), stays=stays)
+    return Belief(t_ns, (*pose, *(0.0,) * (n - 3)), frozen(P), agreed_ns=t_ns, stays=stays)
 
 
 def learnt(before: Belief, begun: Belief) -> Belief:
@@ -285,21 +286,26 @@ def frozen(rows: Sequence[Sequence[float]]) -> Covariance:
 
 GATE = 16.27  # NIS of three numbers: one in a thousand is larger
 REFUSALS = 5  # of fixes in a row, after which it is the filter that is wrong
+OF_AGREEING = 2  # the same where the newest is by three tags that agree, and more: they are not wrong alike
+AGREEING = 3
 RATE_RAD_S = math.radians(0.3)  # noise of the gyro
 YAW_KNOWN_RAD = math.radians(5.0)  # beyond, what a yaw does to a place is not linear: a sighting would lend false trust
 
 Sparse = tuple[tuple[int, float], ...]  # a row of H: (index, weight) where it is not zero
 
 
-def add_fix(belief: Belief, pose: Vector, fluctuates: Symmetric, stays: Symmetric) -> Belief:
-    """Corrected by a fix of now; one that cannot be is refused, and after five in a row it all starts again from it."""
+def add_fix(belief: Belief, pose: Vector, fluctuates: Symmetric, stays: Symmetric, agreeing: int = 1) -> Belief:
+    """Corrected by a fix of now; one that cannot be is refused, and after five in a row it all starts again from it.
+
+    agreeing: tags of which each says the same; of three, the second in a row is believed.
+    """
     xx, xy, xp, yy, yp, pp = fluctuates
     H = ((0, 1.0),), ((1, 1.0),), ((2, 1.0),)
     misses = pose[0] - belief.x[0], pose[1] - belief.x[1], wrap(pose[2] - belief.x[2])
     corrected = _correct(belief, H, misses, ((xx, xy, xp), (xy, yy, yp), (xp, yp, pp)))
     if corrected.nis <= GATE:
-        return corrected._replace(refused=0, stays=stays)
-    if belief.refused + 1 < REFUSALS:
+        return corrected._replace(refused=0, agreed_ns=belief.t_ns, stays=stays)
+    if belief.refused + 1 < (OF_AGREEING if agreeing >= AGREEING else REFUSALS):
         return belief._replace(refused=belief.refused + 1, nis=corrected.nis)
     again = learnt(belief, begin(belief.t_ns, pose, fluctuates, stays, has_gyro(belief)))
     return again._replace(force=belief.force, asked=belief.asked, restarts=belief.restarts + 1, nis=corrected.nis)
@@ -326,7 +332,8 @@ def add_flow(belief: Belief, since_ns: int, moved: Vector, covariance: Symmetric
     misses = moved[0] - ahead, moved[1] - left, wrap(moved[2] - turned)
     xx, xy, xp, yy, yp, pp = covariance
     corrected = _correct(belief, H, misses, ((xx, xy, xp), (xy, yy, yp), (xp, yp, pp)))
-    return corrected if corrected.nis <= GATE else belief._replace(nis=corrected.nis)
+    agrees = corrected.nis <= GATE
+    return corrected._replace(agreed_ns=belief.t_ns) if agrees else belief._replace(nis=corrected.nis)
 
 
 def add_rate(belief: Belief, rate_rad_s: float) -> Belief:

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from agent.capabilities.swim.aided_pose import offset_m
 from agent.capabilities.swim.landmarks import markers
 from agent.capabilities.swim.localizer import Carriage
-from agent.capabilities.swim.plane_odometry import odometry
+from agent.capabilities.swim.plane_odometry import Moved, odometry
 from agent.capabilities.swim.pose_filter import FIRST, FIRST_LEARNT, STEP_NS, Drift, Hull, Wrench, motion
 from agent.capabilities.swim.projection import View, view
 from agent.capabilities.swim.tag_fix import Map, Priors, TagFix, first_fix, priors, tag_fix, whole
@@ -262,7 +262,7 @@ class Replayed:
         start, end = whole(joint.key_pose(i), _priors(then)), whole(joint.pose(i), _priors(now))
         tank = self.fleet.tank
         moved = odometry(self._views[i], start, end, flow.pairs, (*tank.size_m[:2], tank.surface_m), unsettled=0.0)
-        if moved is not None:
+        if isinstance(moved, Moved):
             joint.add_flow(i, flow.since_ns, moved.pose, moved.covariance)
 
     def _sample(self, joint: JointFilter, i: int, target: str, seen: Fix, known: tuple[Any, ...], *_: Any) -> None:

@@ -24,14 +24,15 @@ from agent.capabilities.swim.localizer import (
     foresees,
     within,
 )
-from agent.capabilities.swim.pose_filter import BIAS, Drift, Hull, begin, predict
+from agent.capabilities.swim.plane_odometry import Moved
+from agent.capabilities.swim.pose_filter import AGREEING, BIAS, Drift, Hull, begin, predict
 from agent.capabilities.swim.swim import swimmer_of
 from agent.capabilities.swim.tag_fix import NoFix
 from agent.core.attitude import Attitude
 from agent.core.config import Body, Camera, Navigation
 from agent.core.ranging.camera_model import servos_us
 from agent.core.ranging.pointing import APPROACH_NS, PLAY_US, Pointing
-from agent.core.step_io import SeenTags
+from agent.core.step_io import Flow, SeenTags
 from tests.capabilities.swim.swimming_agent import CALIBRATION, CAMERA, InTank, fleet
 from tests.capabilities.swim.tank_with_tags import sight
 from tests.sample_messages import telemetry
@@ -77,6 +78,15 @@ def test_no_fix_by_a_rolling_shutter_while_the_robot_turns() -> None:
         assert (one.refused == "") is taken and (len(one.events) == 1) is taken
 
 
+@pytest.mark.parametrize("tags", [2, 4])
+def test_where_three_tags_agree_two_frames_are_believed(tags) -> None:
+    one, elsewhere = Localizer(fleet(), CALIBRATION), (THETA[0] + 0.2, THETA[1], *THETA[2:])
+    for k, theta in enumerate((THETA, elsewhere, elsewhere)):
+        one.see(SeenTags(t_ns=10**9 + k * 10**8, frame=k, tags=tuple(sight(theta)[:tags])), LEVEL)
+    here = one.at(10**9 + 2 * 10**8)
+    assert (here.restarts, here.refused) == ((1, 0) if tags >= AGREEING else (0, 2))
+
+
 @pytest.mark.parametrize(
     ("strange", "frames", "said"),
     [
@@ -119,6 +129,57 @@ def test_a_robot_that_swims_says_what_is_wrong_with_its_tags() -> None:
     tank = InTank(fleet())
     swimmer_of(tank.agent.capabilities).localizer._judged.extend((START_NS, True) for _ in range(20))
     assert any(fault.startswith("tags: contradicted: ") for fault in tank.agent.equipment.faults(START_NS))
+
+
+class Points:
+    """A robot that has seen tags for a second; its points, ten times a second, say what they are told to."""
+
+    def __init__(self, monkeypatch) -> None:
+        self.one, self.says, self.t_ns = Localizer(fleet(), CALIBRATION), "contrary", 10**9
+        monkeypatch.setattr(localizer, "odometry", lambda *_: self.says)
+        for _ in range(10):
+            self.see()
+
+    def see(self) -> None:
+        self.t_ns += 10**8
+        self.one.see(SeenTags(t_ns=self.t_ns, frame=1, tags=tuple(sight(THETA))), LEVEL)
+        self.key_ns = self.t_ns
+
+    def taken(self, says, frames) -> int:
+        """How many of so many frames are told to the filter."""
+        self.says, before = says, sum(event.kind == "3 flow" for event in self.one.events)
+        for _ in range(frames):
+            self.t_ns += 10**8
+            self.one.follow(Flow(t_ns=self.t_ns, since_ns=self.key_ns, pairs=()), LEVEL, LEVEL, None, ())
+        return sum(event.kind == "3 flow" for event in self.one.events) - before
+
+
+STAYS = Moved((0.0, 0.0, 0.0), SURE, 64)
+
+
+@pytest.mark.parametrize("contrary", ["contrary", Moved((0.4, 0.0, 0.0), SURE, 64)])
+def test_points_that_contradict_for_a_second_count_for_nothing_until_tags_agree(monkeypatch, contrary) -> None:
+    points = Points(monkeypatch)
+    assert points.taken(STAYS, 3) == 3
+    points.taken(contrary, 5)
+    assert points.taken(STAYS, 1) == 1, "it can tell still"
+    points.taken(contrary, 11)
+    assert points.taken(STAYS, 5) == 0
+    points.see()
+    assert points.taken(STAYS, 5) == 5
+
+
+@pytest.mark.parametrize("says", ["too few", None])
+def test_a_second_without_points_is_no_contradiction(monkeypatch, says) -> None:
+    points = Points(monkeypatch)
+    if says is None:  # those of a key frame that was let go say nothing
+        points.one.advance(points.t_ns + 10**9)
+        points.t_ns += 10**9
+        points.taken(STAYS, 15)
+        points.key_ns = points.t_ns
+    else:
+        points.taken(says, 15)
+    assert points.taken(STAYS, 1) == 1
 
 
 # --- gimbal log ---

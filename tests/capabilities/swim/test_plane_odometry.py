@@ -5,9 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
-from agent.capabilities.swim.plane_odometry import FEWEST, meets, odometry
+from agent.capabilities.swim.plane_odometry import FEWEST, Moved, meets, odometry
 from agent.capabilities.swim.pose_filter import Drift, Hull, add_flow, begin, keep_key, predict
 from agent.capabilities.swim.projection import upright
+from tests.capabilities.swim.points_on_a_thing import without_tags
 from tests.capabilities.swim.tank_with_tags import HALF, TANK_M, VIEW, project
 
 BOX_M = (TANK_M[0], TANK_M[1], VIEW.surface_m)
@@ -89,12 +90,29 @@ def test_points_on_another_robot_are_left_out() -> None:
     before_it = np.abs(pairs[:, 2]) < 0.09
     assert 15 < before_it.sum() < 40
     pairs[before_it, 2] += 0.03  # all alike: as if the robot had turned
-    led, found = odometry_of(pairs, AHEAD), odometry(VIEW, *AHEAD, pairs.tolist(), BOX_M, 0.0, others_m=(other_m,))
+    found = odometry(VIEW, *AHEAD, pairs.tolist(), BOX_M, 0.0, others_m=(other_m,))
     assert found.pairs <= 64 - before_it.sum()
     np.testing.assert_allclose(found.pose, moved(AHEAD), atol=0.004)
-    assert led is None or np.abs(led.pose - moved(AHEAD)).max() > 0.004
+    near = pairs[before_it].tolist()  # as if there were no others
+    led = odometry_of(near, AHEAD)
+    assert isinstance(led, Moved) and np.abs(led.pose - moved(AHEAD)).max() > 0.02
+    assert odometry(VIEW, *AHEAD, near, BOX_M, 0.0, others_m=(other_m,)) == "too few"
     behind_m = 2.0 * np.array(now[:2]) - other_m[:2]
-    assert odometry(VIEW, *AHEAD, pairs.tolist(), BOX_M, 0.0, others_m=((*behind_m, 0.3),)) == led
+    assert odometry(VIEW, *AHEAD, near, BOX_M, 0.0, others_m=((*behind_m, 0.3),)) == led
+
+
+@pytest.mark.parametrize("share", [0.2, 0.4, 0.6, 0.7])
+@WAYS
+def test_points_on_a_thing_that_swims_are_left_out_where_the_motion_is_about_known(way, share) -> None:
+    """Even where most of them lie on it, and agree with each other."""
+    then, now = way
+    expected = (*np.add(now[:3], (0.004, -0.003, 0.004)), *now[3:])
+    pairs = pairs_of(np.random.default_rng(9), way, noise_px=0.2)
+    on_it = round(share * len(pairs))
+    pairs[:on_it, 2:] += (0.05, 0.02)
+    found = odometry_of(pairs, (then, expected))
+    assert len(pairs) - on_it - 4 <= found.pairs <= len(pairs) - on_it
+    np.testing.assert_allclose(found.pose, moved(way), atol=0.003)
 
 
 @WAYS
@@ -125,12 +143,31 @@ def test_a_gimbal_that_settles_errs_in_yaw_alone() -> None:
     ("pairs", "why"),
     [
         (lambda all_: all_[: FEWEST - 1], "too few"),
-        (lambda all_: np.tile([0.0, -0.9, 0.0, -0.9], (40, 1)), "at the surface"),
-        (lambda all_: np.random.default_rng(3).uniform(-0.2, 0.2, (64, 4)), "nothing agrees"),
+        (lambda all_: np.tile([0.0, -0.9, 0.0, -0.9], (40, 1)), "too few"),  # at the surface
+        (lambda all_: np.random.default_rng(3).uniform(-0.2, 0.2, (64, 4)), "contrary"),
     ],
 )
 def test_there_is_no_odometry_without_points(pairs, why) -> None:
-    assert odometry_of(pairs(pairs_of(np.random.default_rng(0), AHEAD)), AHEAD) is None
+    assert odometry_of(pairs(pairs_of(np.random.default_rng(0), AHEAD)), AHEAD) == why
+
+
+# Most of them taken for the floor would turn a robot by 30 degrees and more, which then says that it knows its place.
+SEEDS = range(6)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.4, 0.6])
+def test_points_on_a_thing_lead_no_robot_astray(share) -> None:
+    runs = np.array([without_tags(seed, share, 3.0, push_n=1.0) for seed in SEEDS])
+    assert np.sqrt(np.mean(np.square(runs[..., 0]))) < 0.006, "m"
+    assert np.degrees(np.sqrt(np.mean(np.square(runs[..., 1])))) < 0.3
+    assert np.mean(runs[..., 3]) < 1.3
+
+
+@pytest.mark.parametrize("share", [0.8, 1.0])
+def test_a_robot_that_sees_hardly_anything_but_a_thing_says_that_it_does_not_know(share) -> None:
+    runs = np.array([without_tags(seed, share, 4.0, push_n=1.0) for seed in SEEDS])
+    assert np.mean(runs[..., 3]) < 1.3 and runs[..., 3].max() < 5.4  # one in a thousand
+    assert np.degrees(np.sqrt(np.mean(np.square(runs[..., 1])))) < 6.0
 
 
 def test_a_ray_meets_what_it_shows() -> None:

@@ -9,6 +9,7 @@ from scipy.linalg import block_diag, solve_discrete_are
 
 from agent.capabilities.swim.event_ring import EventRing, asked, fix
 from agent.capabilities.swim.pose_filter import (
+    AGREEING,
     BIAS,
     FIRST_LEARNT,
     HULL_M,
@@ -252,6 +253,23 @@ def test_a_stray_fix_is_refused_and_five_of_them_are_right() -> None:
     for _ in range(REFUSALS - 1):
         belief = add_fix(belief, far, R, NOTHING)
     assert belief.restarts == 1 and belief.pose == far and belief.covariance == R and belief.refused == 0
+
+
+def test_of_fixes_by_three_tags_that_agree_the_second_is_right() -> None:
+    far, belief = (START[0] + 0.3, START[1], START[2]), begin(0, START, R)
+    for agreeing, restarts in ((AGREEING - 1, 0), (AGREEING, 1)):
+        refused = add_fix(belief, far, R, NOTHING, agreeing)
+        assert refused.refused == 1 and refused.pose == START
+        assert add_fix(refused, far, R, NOTHING, agreeing).restarts == restarts
+
+
+def test_only_what_agrees_with_a_belief_confirms_it() -> None:
+    belief = keep_key(begin(0, START, R))
+    later = predict(belief, HULL, DRIFT, 100_000_000)
+    wrong = add_flow(later, 0, (0.5, 0.0, 0.0), R)
+    assert wrong.pose == later.pose and wrong.agreed_ns == add_fix(later, (9.0, 0.0, 0.0), R, NOTHING).agreed_ns == 0
+    right = add_flow(later, 0, (0.0, 0.0, 0.0), R)
+    assert right.agreed_ns == add_fix(later, START, R, NOTHING).agreed_ns == 100_000_000
 
 
 def test_what_was_learnt_of_a_body_is_kept_when_all_starts_again() -> None:
