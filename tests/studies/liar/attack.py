@@ -21,6 +21,7 @@ from agent.core.linear_algebra import apply, upper
 from agent.core.messages import Entry, Estimate, Symmetric, Vector
 from agent.experiments.localization.draws import WORLD
 from agent.experiments.localization.lockstep import (
+    TARGET_M,
     Array,
     Swarm,
     Topology,
@@ -47,6 +48,7 @@ class LiarCase(NamedTuple):
     loss: float = 0.1
     then: Then = "honest"
     speed_mm_s: float = 0.0  # of the target
+    scale: float = 0.0  # by which share all ranges may be long, as the fleet's budget has it
     bumped_mm: float = 0.0  # no lie: robot 0 is wrong by this much for 40 iterations, then repaired
 
 
@@ -70,6 +72,9 @@ class Outcome(NamedTuple):
 def attacked(case: LiarCase, seed: int) -> Outcome:
     """One draw of a target at rest."""
     world = draw_world(case.robots, "aniso", True, np.random.default_rng(WORLD))
+    lever_m = TARGET_M - world.camera_m
+    stretched = case.scale**2 * np.einsum("ni,nj->nij", lever_m, lever_m)
+    world = world._replace(systematic_m2=world.systematic_m2 + stretched)  # as an opinion has it
     rng, iterations = chance(seed), LAST + AFTER
     dive = draw_dive(world, "all", 0.0, iterations, rng)
     clear, lied = (fleet_of(case, Random(seed)) for _ in range(2))

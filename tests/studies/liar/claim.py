@@ -11,6 +11,8 @@ from tests.studies.liar.moving import attacked_moving
 
 CASES = {
     "mesh": {f"mesh-{robots}": LiarCase("full", robots) for robots in (3, 5, 10)},
+    # The same where robots know that all ranges may be long by the same share: 0.15 %, and 0.2 % by the ball's radius.
+    "budget": {f"budget-{robots}": LiarCase("full", robots, scale=0.0025) for robots in (3, 5, 10)},
     # Here a lie has to be passed on.
     "relayed": {"geometric-10": LiarCase("geometric", 10), "line-5": LiarCase("line", 5)},
     "key-gone": {f"key-gone-{robots}": LiarCase("full", robots, then="no key") for robots in (3, 5)},
@@ -62,6 +64,7 @@ def told(found: Outcome) -> Row:
 # Millimetres, by the number of robots.
 AT_REST = {3: 22.0, 5: 8.0, 10: 5.0}
 MOVING = {3: 20.0, 5: 18.0, 10: 8.0}
+LONG: dict[int, float | None] = {3: None, 5: 1.1, 10: 1.1}  # times as far as without the scale, in half of the draws
 BEYOND = 1.25  # times the bound, at most, in any draw
 TRUTH_AGAIN_MM = 2.5  # at most, in any draw
 KEY_GONE_MM = 0.1  # at most, in any draw
@@ -80,6 +83,11 @@ def summary(rows: Rows) -> dict[str, Value]:
         found[f"{fleet}_often_mm"] = Quantile(moved_mm, OFTEN)
         found[f"{fleet}_half_mm"] = Quantile(moved_mm, 50.0)
         found[f"{fleet}_share"] = Quantile([row["share"] for row in of_fleet], 50.0)
+    for robots in AT_REST:
+        pairs = zip(draws[f"budget-{robots}"], draws[f"mesh-{robots}"], strict=False)
+        ratios = [one["moved_mm"] / other["moved_mm"] for one, other in pairs]
+        if ratios:
+            found[f"budget-{robots}_ratio"] = Quantile(ratios, 50.0)
     for key, cases, name, limit in (
         ("within_bound", ("mesh", "relayed"), "over_bound", BEYOND),
         ("moving_within_bound", ("moving",), "over_bound", BEYOND),
@@ -101,6 +109,12 @@ CLAIM = Claim(
         Figure("mesh-3_often_mm", "one of 3 lies: the others are moved, 95 % of draws", "mm", most=AT_REST[3]),
         Figure("mesh-5_often_mm", "one of 5 lies", "mm", most=AT_REST[5]),
         Figure("mesh-10_often_mm", "one of 10 lies", "mm", most=AT_REST[10]),
+        *(
+            Figure(
+                f"budget-{n}_ratio", f"one of {n} lies, robots know that ranges may be long: times as far", most=limit
+            )
+            for n, limit in LONG.items()
+        ),
         Figure("geometric-10_often_mm", "one of 10 lies, on the hard graph", "mm", most=AT_REST[10]),
         Figure("line-5_often_mm", "one of 5 in a line lies", "mm"),
         Figure("within_bound", f"moved by at most {BEYOND:g} times the bound of single lies", "%", least=99.0),
