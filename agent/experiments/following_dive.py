@@ -29,6 +29,7 @@ from agent.experiments.navigation.swimmers import (
     DrawnTarget,
     Pillar,
     Swimmers,
+    frame_error_m,
     hides,
     ring,
 )
@@ -298,7 +299,8 @@ def judged(agent: Agent, fleet: Fleet, target_m: Vector, now_ns: int) -> tuple[f
         return np.nan, np.nan
     off = difference(carried_on(believed, dynamics(fleet.target["ball"]), now_ns), target_m)
     fresh = now_ns - believed.t_ns <= FRESH_NS
-    return math.hypot(*off), distance2(believed.cov_m2, off) if fresh else np.nan
+    of_frame = difference(off, frame_error_m(fleet))
+    return math.hypot(*off), distance2(believed.cov_m2, of_frame) if fresh else np.nan
 
 
 class Channel:

@@ -19,7 +19,7 @@ from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value, rms
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK, PlanarBodies, twin_bodies
 from agent.experiments.navigation.joint_filter import Replayed
-from agent.experiments.navigation.swimmers import Swimmers
+from agent.experiments.navigation.swimmers import Swimmers, frame_error_m
 from hw.twin.scene import generator
 
 AROUND_M = 0.75
@@ -58,11 +58,12 @@ def target(seed: int, seconds: float = TARGET_S) -> Row:
         own = [agent.measuring.current.estimator.posterior for agent in swimmers.agents.values()]
     at, covariance = replayed.joint().target
     errors = [(difference(known.x_m, BALL_M), known.cov_m2) for known in own if known is not None]
+    off_m = frame_error_m(fleet)
     off = difference(at.tolist(), BALL_M)
     return {
         "silent": ROBOTS - len(errors),  # robots that do not know where it is
         "error_mm": [1e3 * math.hypot(*e) for e, _ in errors],
-        "nees": [distance2(says, e) / 3.0 for e, says in errors],
+        "nees": [distance2(says, difference(e, off_m)) / 3.0 for e, says in errors],
         "bound_mm": 1e3 * math.hypot(*off),
         "bound_nees": distance2(upper(covariance), off) / 3.0,
         "samples": replayed.samples,

@@ -260,6 +260,14 @@ class DrawnTarget:
         raise NotImplementedError
 
 
+def frame_error_m(fleet: Fleet) -> Vector:
+    """By how much the frame that all robots share is off the tank's, drawn as the fleet's budget has it. Swimmers know
+    the tank's own: their errors as they state them are judged with this one added."""
+    budget, rng = fleet.budget, generator(fleet.twin.seed, "frame")
+    x, y, z = rng.normal(0.0, (budget.survey_m, budget.survey_m, budget.level_m)).tolist()
+    return x, y, z
+
+
 class DrawnBall(DrawnTarget):
     """A ball; ball_m: where it lies, or its path."""
 
@@ -268,7 +276,11 @@ class DrawnBall(DrawnTarget):
         target = fleet.target[self._target]
         assert target.radius_m is not None  # a ball
         self._rng = generator(fleet.twin.seed, name, "drawn ball")
-        self._radius_m = target.radius_m
+        self._radius_m = target.radius_m + float(
+            generator(fleet.twin.seed, "radius").normal(
+                0.0, math.hypot(target.radius_sigma_m, fleet.budget.scale * target.radius_m)
+            )
+        )
         self._camera, self._camera_m = camera, fleet.body.camera_m
         xx, xy, xz, yy, yz, zz = FOCUS.covariance
         covariance = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])

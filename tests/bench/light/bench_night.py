@@ -20,6 +20,7 @@ from agent.core.topics import LIGHT, NEAR
 from agent.demo.demo import SETTLE_ITERATIONS, SETTLE_M, SETTLE_WINDOW
 from agent.demo.summary import PASS_PERCENT, History, settled
 from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, Value
+from agent.experiments.navigation.swimmers import frame_error_m
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from agent.robot.step import Agent
@@ -68,7 +69,7 @@ def night(fleet: Fleet, seconds: float, loss: float) -> tuple[float | None, list
                         divers[to].post.append(heard)
             if dive.ticks % 100 == 0 and settled(list(histories.values()), SETTLE_ITERATIONS, SETTLE_WINDOW, SETTLE_M):
                 settled_s = (dive.now_ns - START_NS) * 1e-9
-    return settled_s, [row_of(name, diver.agent, steps[name], truth_m) for name, diver in divers.items()]
+    return settled_s, [row_of(name, fleet, diver.agent, steps[name], truth_m) for name, diver in divers.items()]
 
 
 class Step(NamedTuple):
@@ -79,7 +80,7 @@ class Step(NamedTuple):
     outputs: Outputs
 
 
-def row_of(name: str, agent: Agent, steps: list[Step], truth_m: Vector) -> Row:
+def row_of(name: str, fleet: Fleet, agent: Agent, steps: list[Step], truth_m: Vector) -> Row:
     """How it knows the ball, and how it came to. None: it has no estimate; nis: of its sweeps against those before, 3
     where they scatter as they say; epochs: that its estimate went through, of a ball at rest none; first_s: when the
     ball was in a frame of it for the first time; kept: sweeps that gave a place, some of them by another's lamp."""
@@ -87,7 +88,8 @@ def row_of(name: str, agent: Agent, steps: list[Step], truth_m: Vector) -> Row:
     if (believed := estimator.posterior) is not None:
         off = difference(believed.x_m, truth_m)
         weight = inverse(believed.cov_m2)
-        off_m, nees = math.hypot(*off), None if weight is None else quadratic(weight, off)
+        off_m, of_frame_m = math.hypot(*off), difference(off, frame_error_m(fleet))
+        nees = None if weight is None else quadratic(weight, of_frame_m)
     states = [step.outputs.state for step in steps if step.outputs.state is not None]
     nis = {state.t: state.explain.nis for state in states if state.explain}
     outcomes = [step.outputs.outcome for step in steps if step.outputs.outcome]
