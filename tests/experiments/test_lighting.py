@@ -6,7 +6,7 @@ import pytest
 from agent.experiments.claim import Quantile, Share
 from agent.experiments.dark_water import DarkWater, stand
 from agent.experiments.lighting import NEIGHBOURS, Sweeps, correlation, ratio, scored, sets_for, summary
-from tests.bench.light import bench_leases, bench_night
+from tests.bench.light import bench_night
 from tests.studies.veil import claim as veil
 from tests.studies.veil.tables import smoothed
 
@@ -78,9 +78,3 @@ def test_a_dive_in_which_a_robot_knows_nothing_is_not_right() -> None:
     assert found["night_right"] == Share(1, 2) and found["night_steady"] == Share(3, 4)
     assert found["night_seen"] == Quantile([5.0, None], 50.0)
     assert found["night_nees"] == 3.0 and found["night_nis"] is None
-
-
-def test_sweeps_that_counted_wrongly_are_a_share_of_those_that_counted() -> None:
-    dive = {"counted": 8, "wrong": 1, "lent": 6, "spoiled": 1, "others": 1}
-    found = bench_leases.summary({"storm": [dive, dive]})
-    assert found["storm_wrong"] == Share(2, 16) and found["storm_spoiled"] == Share(2, 20)
