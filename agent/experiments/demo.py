@@ -59,7 +59,8 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
         )
     (target,) = summary["targets"].values()
     judge = of_fish if case == "fish" else of_stone if case == "box" else of_ball
-    return [{"passed": summary["verdict"] == "pass", **judge(target)}]
+    doubted = any(row["verdict"] != "consistent" for row in target["agents"].values())
+    return [{"passed": summary["verdict"] == "pass", "doubted": doubted, **judge(target)}]
 
 
 # --- what its summary.json says of the target ---
@@ -95,6 +96,7 @@ def summary(rows: Rows) -> dict[str, Value]:
     found: dict[str, Value] = {}
     for case, dives in rows.items():
         median = partial(_median, dives)
+        found[f"{case}_doubted"] = Share(sum(dive["doubted"] for dive in dives), len(dives))
         found[f"{case}_passed"] = Share(sum(dive["passed"] for dive in dives), len(dives))
         if case in AT_BALL:
             errors = [dive["error_percent"] for dive in dives]
@@ -139,6 +141,7 @@ def _figures(case: str) -> tuple[Figure, ...]:
         )
     return (
         *own,
+        figure("doubted", "dives at whose end a robot says another word than `consistent`", "%"),
         figure("passed", "dives that pass their own verdict", "%", least=ALL_PERCENT),
     )
 

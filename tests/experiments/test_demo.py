@@ -12,7 +12,7 @@ def ball(*errors: float | None) -> dict:
 
 
 def dive(*errors: float | None, passed: bool = True) -> dict:
-    return {"passed": passed, **of_ball(ball(*errors))}
+    return {"passed": passed, "doubted": not passed, **of_ball(ball(*errors))}
 
 
 def test_a_dive_is_as_good_as_its_worst_robot() -> None:
@@ -20,6 +20,7 @@ def test_a_dive_is_as_good_as_its_worst_robot() -> None:
     assert of_ball(ball(0.1, None))["error_percent"] is None
     found = summary({"tank": [dive(0.1, 0.2), dive(0.1, 0.5, passed=False), dive(None, 0.1, passed=False)]})
     assert found["tank_within"] == found["tank_passed"] == Share(1, 3)
+    assert found["tank_doubted"] == Share(2, 3)
     assert found["tank_error_percent"] == Quantile([0.2, 0.5, None], 50.0)
 
 

@@ -70,11 +70,21 @@ def test_places_that_are_too_far_off_are_counted() -> None:
 
 
 def test_a_dive_in_which_a_robot_knows_nothing_is_not_right() -> None:
-    robot = {"nees": 3.0, "nis": None, "epochs": 0, "first_s": 5.0, "kept": 3, "by_lent": 3, "rejected": 1}
-    blind = {**robot, "nees": None, "epochs": 1, "first_s": None, "kept": 0, "by_lent": 0}
+    robot = {
+        "doubted": False,
+        "nees": 3.0,
+        "nis": None,
+        "epochs": 0,
+        "first_s": 5.0,
+        "kept": 3,
+        "by_lent": 3,
+        "rejected": 1,
+    }
+    blind = {**robot, "doubted": True, "nees": None, "epochs": 1, "first_s": None, "kept": 0, "by_lent": 0}
     right = {"settled_s": 90.0, "worst_percent": 0.2, "robots": [robot, robot]}
     lost = {"settled_s": None, "worst_percent": None, "robots": [robot, blind]}
     found = bench_night.summary({"night": [right, lost]})
     assert found["night_right"] == Share(1, 2) and found["night_steady"] == Share(3, 4)
+    assert found["night_doubted"] == Share(1, 2)
     assert found["night_seen"] == Quantile([5.0, None], 50.0)
     assert found["night_nees"] == 3.0 and found["night_nis"] is None

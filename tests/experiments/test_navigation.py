@@ -207,10 +207,10 @@ def test_what_manoeuvres_come_to() -> None:
 
 
 def test_what_robots_around_a_ball_come_to() -> None:
-    known = {"silent": 0, "error_mm": [1.1, 1.1], "nees": [0.5, 1.5], "bound_mm": 1.0}
+    known = {"silent": 0, "doubted": False, "error_mm": [1.1, 1.1], "nees": [0.5, 1.5], "bound_mm": 1.0}
     found = around_ball.summary({"target": [known, known]})
     assert found["target_ratio_to_bound"] == pytest.approx(1.1) and found["target_nees"] == 1.0
-    silent = {"silent": 1, "error_mm": [], "nees": [], "bound_mm": 1.0}
+    silent = {"silent": 1, "doubted": False, "error_mm": [], "nees": [], "bound_mm": 1.0}
     assert around_ball.summary({"target": [known, silent]})["target_ratio_to_bound"] is None
     rows = [{"own_mm": [1.0, 6.0, None], "aided_mm": [1.0, 3.0, None], "aided": 4, "nees": 2.0}]
     assert around_ball.summary({"aid": rows}) == {"aid_own_mm": 6.0, "aid_aided_mm": 3.0, "aid_nees": 0.5}

@@ -56,12 +56,14 @@ def target(seed: int, seconds: float = TARGET_S) -> Row:
         for _ in swimmers.each_step(seconds):
             pass
         own = [agent.measuring.current.estimator.posterior for agent in swimmers.agents.values()]
+        told = [agent.measuring.current.consistency.verdict(swimmers.now_ns) for agent in swimmers.agents.values()]
     at, covariance = replayed.joint().target
     errors = [(difference(known.x_m, BALL_M), known.cov_m2) for known in own if known is not None]
     off_m = frame_error_m(fleet)
     off = difference(at.tolist(), BALL_M)
     return {
         "silent": ROBOTS - len(errors),  # robots that do not know where it is
+        "doubted": any(word != "consistent" for word, _ in told),
         "error_mm": [1e3 * math.hypot(*e) for e, _ in errors],
         "nees": [distance2(says, difference(e, off_m)) / 3.0 for e, says in errors],
         "bound_mm": 1e3 * math.hypot(*off),
@@ -215,6 +217,7 @@ def summary(rows: Rows) -> dict[str, Value]:
             error_mm, nees = None, []
         found["target_mm"], found["target_bound_mm"] = error_mm, bound_mm
         found["target_ratio_to_bound"] = error_mm / bound_mm if error_mm and bound_mm else None
+        found["target_doubted"] = Share(sum(row["doubted"] for row in rows["target"]), len(rows["target"]))
         found["target_nees"] = float(np.mean(nees)) if nees else None
     if "aid" in rows:
         for key in ("own_mm", "aided_mm"):
@@ -240,6 +243,7 @@ CLAIM = Claim(
         Figure("target_bound_mm", "the same of one filter that has all measurements", "mm"),
         Figure("target_ratio_to_bound", "the former to the latter", "", most=1.2),
         Figure("target_nees", "their error as they say: NEES/3", "", least=0.7, most=1.3),
+        Figure("target_doubted", "dives at whose end a robot says another word than `consistent`", "%"),
         Figure("aid_own_mm", "robots that see tags 2 s of every 4, 6 and 8 s: own pose, rms", "mm"),
         Figure("aid_aided_mm", "the same, aided by the ball", "mm"),
         Figure("aid_nees", "the aided pose's error as it says: NEES/3", "", most=1.3),

@@ -95,6 +95,8 @@ def row_of(name: str, fleet: Fleet, agent: Agent, steps: list[Step], truth_m: Ve
     outcomes = [step.outputs.outcome for step in steps if step.outputs.outcome]
     kept = [outcome for outcome in outcomes if outcome.x_m is not None]
     return {
+        "doubted": agent.measuring.current.consistency.verdict(round(steps[-1].t_s * 1e9) + START_NS)[0]
+        != "consistent",
         "error_mm": None if off_m is None else 1e3 * off_m,
         "nees": nees,
         "nis": mean(list(nis.values())),
@@ -128,6 +130,7 @@ def summary(rows: Rows) -> dict[str, Value]:
         of = {
             "worst": Quantile(worst, 50.0),
             "right": Share(sum(right), len(right)),
+            "doubted": Share(sum(any(robot["doubted"] for robot in dive["robots"]) for dive in dives), len(dives)),
             "seen": Quantile([None if None in each else max(each) for each in seen], 50.0),
             "settled": Quantile([dive["settled_s"] for dive in dives], 50.0),
             "nees": mean([robot["nees"] for robot in robots]),
@@ -150,6 +153,7 @@ def figures(case: str, words: str) -> tuple[Figure, ...]:
     return (
         Figure(f"{case}_worst", f"{words}: error of the worst robot, of its distance, median", "%", most=PASS_PERCENT),
         Figure(f"{case}_right", f"all robots are within {PASS_PERCENT} %", "%", least=ALL_PERCENT),
+        Figure(f"{case}_doubted", "dives at whose end a robot says another word than `consistent`", "%"),
         Figure(f"{case}_seen", "the ball has been in a frame of each robot after, median", "s"),
         Figure(f"{case}_settled", "all have settled after, median", "s"),
         Figure(f"{case}_nees", "error as they say at the end: mean NEES, 3 where it is honest"),
