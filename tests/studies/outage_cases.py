@@ -26,7 +26,7 @@ from agent.core.codec import decode
 from agent.core.config import Fleet
 from agent.core.messages import State
 from agent.core.status import fault_kind
-from agent.core.step_io import Outputs
+from agent.core.step_io import Inputs, Outputs
 from agent.core.topics import STATE
 from agent.core.verdict import ORDER
 from agent.demo.demo import CONSOLE, FOLDER, with_access
@@ -38,7 +38,7 @@ from hw.firmware.failsafe import DISARM, SURFACE
 from hw.twin.scene import SCENES
 from replay.check.check import check
 from replay.check.reexecute import STEP_BYTES
-from replay.files.channels import STEP_OUT
+from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.info import info
 from replay.files.log import read
 from replay.files.recover import recover
@@ -82,6 +82,7 @@ def well(state: State) -> bool:
 # The twin's own event: it closes its end of the pty, and the agent's end hangs up as a USB adapter's does.
 
 PULLED_S = {40.0: 6.0, 60.0: 6.0, 80.0: 25.0}  # when, by the dive's clock, and for how long
+SURFACES_S = 10.0  # then it is up, and has switched its motors off
 NAMED_S, BACK_S = 3.0, 5.0
 
 
@@ -97,7 +98,7 @@ def serial(folder: Path) -> Iterator[Row]:
         scene.write_text((SCENES / "tank.toml").read_text() + events)
         return replace(fleet, twin=replace(fleet.twin, scene=str(scene)))
 
-    named, back, seen = [], [], []
+    named, back, ends_ns = [], [], []
     with dive_of_two(folder, change=pulled) as (dive, shown), OrderConsole(dive.fleet, "ann") as ann:
         start_ns = dive.clock.start_ns or 0
         assert dive.clock.now_ns() - start_ns < 1e9 * min(PULLED_S), "the dive began too late"
@@ -110,8 +111,8 @@ def serial(folder: Path) -> Iterator[Row]:
             named.append((shown.newest["r1"].sent_ns - out_ns) * 1e-9)
             shown.until("telemetry", lambda s, ns=in_ns: s.sent_ns > ns and s.armed is not None, PATIENCE_S, "r1")
             back.append((shown.newest["r1"].sent_ns - in_ns) * 1e-9)
-            seen.append(shown.newest["r1"])
-            if not seen[-1].armed:
+            ends_ns.append(in_ns)
+            if for_s > SURFACES_S:
                 ann.order(("r1",), "arm", {}, answer_s=PATIENCE_S)
             shown.until("well again", well, PATIENCE_S)
         dive.end()
@@ -120,15 +121,21 @@ def serial(folder: Path) -> Iterator[Row]:
     figure = f"'no telemetry' after {max(named):.1f} s, used again after {max(back):.1f} s, a step every {late_s:.2f} s"
     ok = max(named) < NAMED_S and max(back) < BACK_S and late_s < STEP_GAP_S
     yield Row("pulled and put back", len(named), figure, bar, ok)
-    boards = [(state.ladder, bool(state.armed)) for state in seen]
+    told = [
+        telemetry
+        for record in read(folder / "r1.mcap")
+        if record.channel == STEP_IN.name
+        for telemetry in decode(record.data, Inputs, limit=STEP_BYTES).telemetry
+    ]
+    first = [next(telemetry for telemetry in told if telemetry.t_ns > in_ns) for in_ns in ends_ns]
+    boards = [(telemetry.ladder, telemetry.armed) for telemetry in first]
     figure = "; ".join(
-        f"{for_s:.0f} s: failsafe {n}, motors {'on' if on else 'off'}"
-        for for_s, (n, on) in zip(PULLED_S.values(), boards, strict=True)
+        f"after {for_s:.0f} s failsafe {ladder}, motors {'on' if armed else 'off'}"
+        for for_s, (ladder, armed) in zip(PULLED_S.values(), boards, strict=True)
     )
-    bar = f"{SURFACE}: surfaces, {SURFACE}, {DISARM}: off"
-    yield Row(
-        "what its board did", len(boards), figure, bar, boards == [(SURFACE, True), (SURFACE, True), (DISARM, False)]
-    )
+    bar = f"{SURFACE}: surfaces, twice; {DISARM}: off"
+    ok = boards == [(SURFACE, True), (SURFACE, True), (DISARM, False)]
+    yield Row("what its board did", len(boards), figure, bar, ok)
 
 
 # --- frames ---
@@ -136,7 +143,7 @@ def serial(folder: Path) -> Iterator[Row]:
 FAULTS: dict[Fault, tuple[str, str]] = {
     "again": ("the same frame for ever", "frames frozen"),
     "still": ("new frames with one picture", "frames frozen"),
-    "silent": ("no frames at all", "no camera"),
+    "silent": ("no frames at all", "no frames"),
 }
 BROKEN_S = 12.0  # of the dive: four sweeps
 
@@ -257,9 +264,9 @@ def clocks(folder: Path) -> Iterator[Row]:
             watch.hold(HOLD_S)
             processes["r1"].kill()
             processes["r1"].wait()
-            shown.newest.clear()
+            began_s, old = time.monotonic(), shown.newest["r1"].incarnation
             start("r1", times)
-            began_s = time.monotonic()
+            shown.until("its new start", lambda s, old=old: s.incarnation != old, PATIENCE_S, "r1")
             shown.until(f"agreement after a start {ahead_s} s ahead", agree, PATIENCE_S)
             took_s.append(time.monotonic() - began_s)
             off_s = shown.newest["r1"].sent_ns * 1e-9 - time.time()

@@ -22,7 +22,7 @@ from agent.process.command import terminal
 from tests.studies import outage_cases
 from tests.studies.outage_cases import Row
 
-LONGEST = 300  # characters of what is said of a failure
+LONGEST = 2000  # characters of what is said of a failure
 Case = Callable[[Path], Iterator[Row]]
 CASES: dict[str, tuple[str, Case]] = {
     "serial": ("the tether is pulled and put back", outage_cases.serial),
