@@ -36,7 +36,7 @@ from replay.files.frames import frame_entries
 from replay.files.info import RateNotes
 from replay.files.log import Limits, LogWriter, drop_note, parts, unused
 from replay.files.mcap_file import environment
-from replay.files.recover import recovering, torn_files
+from replay.files.recover import broken_off, recovering, torn_files
 from replay.viewers.layout import foxglove_layout, shipped
 from replay.viewers.viewer_channels import MeasureDepth, ViewerChannels
 from router_config.session import Sample, Session, unusable
@@ -127,7 +127,7 @@ def record(
     arrivals, rate, roll = Arrivals(clock.now_ns), RateNotes(clock), RollCall(fleet, warn)
     stuck = False
     torn = torn_files(out)
-    if torn and not out.exists():
+    if broken_off(out):
         out = unused(out)  # a recorder that was killed goes on; what was finished on purpose is not added to
         warn(f"its last recording was not finished, so this one is {out}")
     log = LogWriter(

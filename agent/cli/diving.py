@@ -19,7 +19,7 @@ from agent.process.command import (
     shipped_names,
     terminal,
 )
-from agent.process.launch import until_signal
+from agent.process.launch import refuse_too_little_memory, until_signal
 from agent.robot.fleet_reader import load_fleet
 from router_config.settings import ROUTER, ROUTER_LISTEN
 
@@ -87,6 +87,7 @@ def agent(
     ] = None,
 ) -> None:
     """One robot's agent, until Ctrl-C or SIGTERM; then the motors go off. Its log is on standard error."""
+    refuse_too_little_memory()
     with until_signal() as stop:
         from agent.ground.check import before_dive
         from agent.process.agent_process import run

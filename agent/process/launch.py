@@ -1,11 +1,12 @@
 """Processes of ours, started as a user would start them and stopped whatever happens: they end with their parent. Free
-ports, and the signal that ends a command.
+ports, the signal that ends a command, and memory.
 """
 
 from __future__ import annotations
 
 import contextlib
 import os
+import resource
 import signal
 import socket
 import subprocess
@@ -17,6 +18,7 @@ from threading import Condition, Event, RLock, Thread, Timer, main_thread
 from typing import NamedTuple
 
 from agent.clock import machine
+from agent.core.config import ConfigError
 from agent.process.command import Failed
 from agent.robot.fleet_reader import MAX_PORT
 
@@ -330,3 +332,19 @@ def until_signal() -> Iterator[Event]:
     finally:
         for number, handler in before.items():
             signal.signal(number, handler)
+
+
+# --- memory ---
+# Libraries that find no memory end the process, or hang, at any place: better it does not start.
+
+# What an agent of two cores takes in a dive, a tenth added: of data (`ulimit -d`) and of addresses (`ulimit -v`), MB.
+AGENT_TAKES_MB = {"d": (resource.RLIMIT_DATA, 600), "v": (resource.RLIMIT_AS, 2000)}
+
+
+def refuse_too_little_memory() -> None:
+    """Raises ConfigError where this process may not have what an agent takes. To be called before it is loaded."""
+    for option, (limit, takes_mb) in AGENT_TAKES_MB.items():
+        most, _ = resource.getrlimit(limit)
+        if most != resource.RLIM_INFINITY and most < takes_mb * 10**6:
+            text = f"a process may have {most // 10**6} MB of memory here, and an agent takes {takes_mb}"
+            raise ConfigError(f"{text}; run: ulimit -{option} {takes_mb * 1000}")

@@ -264,13 +264,17 @@ def auto_recovered(paths: Iterable[Path], say: Say) -> list[Path]:
     return found
 
 
-def torn_files(path: Path) -> list[Path]:
-    """Torn files of the recording `path`, of its parts and of earlier starts, that nobody has mended yet."""
+def broken_off(path: Path) -> list[Path]:
+    """Torn files of the recording `path`, of its parts and of earlier starts."""
     name = re.compile(re.escape(path.name.removesuffix(".mcap")) + r"(\.\d+)?(\.part\d{3,})?\.mcap" + re.escape(SUFFIX))
     if not path.parent.is_dir():
         return []
-    torn = sorted(file for file in path.parent.iterdir() if name.fullmatch(file.name))
-    return [file for file in torn if not recovered(file).exists() and not is_held(file)]
+    return sorted(file for file in path.parent.iterdir() if name.fullmatch(file.name) and not is_held(file))
+
+
+def torn_files(path: Path) -> list[Path]:
+    """Those that nobody has mended yet."""
+    return [file for file in broken_off(path) if not recovered(file).exists()]
 
 
 @contextmanager

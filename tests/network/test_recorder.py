@@ -214,6 +214,22 @@ def test_a_recorder_that_was_killed_goes_on_under_the_next_name(
     assert [record.data for record in read(tmp_path / "fleet.recovered.mcap")] == [b"x"]
 
 
+@pytest.mark.parametrize(
+    "left", [("fleet.mcap.active", "fleet.recovered.mcap"), ("fleet.mcap", "fleet.part002.mcap.active")]
+)
+def test_so_does_one_whose_file_is_mended_already_and_one_that_was_killed_in_a_later_part(
+    make_fleet: Callable[..., Fleet], start_recorder: StartRecorder, tmp_path: Path, left: tuple[str, str]
+) -> None:
+    for name in left:
+        (tmp_path / name).touch()
+    fleet = make_fleet({"r1": ()})
+    recorder = start_recorder(fleet, tmp_path / "fleet.mcap")
+    with Transport(fleet, "r1", time.time_ns):
+        until(lambda: (file := tmp_path / "fleet.2.mcap.active").exists() and any(read(file)), MENDED_S)
+    recorder.end()
+    assert info(tmp_path / "fleet.2.mcap").complete
+
+
 RECORD = """
 import pathlib, signal, sys, threading
 from agent.robot.fleet_reader import load_fleet

@@ -85,3 +85,11 @@ def test_one_signal_asks_and_a_second_one_interrupts() -> None:
         until(stop.is_set)
         signal.raise_signal(signal.SIGTERM)
         time.sleep(1.0)
+
+
+@pytest.mark.parametrize("limit", ["-d 192000", "-d 512000", "-v 1500000"])
+def test_an_agent_that_may_not_have_its_memory_says_so_and_does_not_start(limit: str) -> None:
+    command = f"ulimit {limit}; exec {sys.executable} -m agent agent fleet.toml --robot r1"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True, cwd=ROOT, timeout=60.0)
+    (line,) = done.stderr.splitlines()
+    assert done.returncode == 2 and line.startswith("aucamp: a process may have ") and f"ulimit {limit[:2]} " in line

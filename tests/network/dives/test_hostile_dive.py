@@ -10,7 +10,6 @@ import re
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -23,12 +22,11 @@ from agent.core.estimation.interface import LATEST_T
 from agent.core.messages import Entry, Epoch, Gossip, State
 from agent.core.status import fault_kind
 from agent.core.verdict import ORDER
-from agent.process.command import temporary_folder
 from hw.firmware import wire
 from tests.dive_timing import timing
 from tests.killing import killed_after
 from tests.network.conftest import unused_port
-from tests.network.dives.broken_camera import BrokenCamera, broken_camera
+from tests.network.dives.broken_camera import BrokenCamera
 from tests.network.dives.dive_of_two import DiveOfTwo, dive_of_two
 from tests.network.dives.shown_states import ShownStates
 from tests.network.rogue import Rogue
@@ -80,25 +78,12 @@ class Water(NamedTuple):
 
 @pytest.fixture(scope="module")
 def water(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Water]:
-    with temporary_folder() as elsewhere:
-        cameras: list[BrokenCamera] = []
-
-        @contextmanager
-        def between(twin: Path) -> Iterator[Path]:
-            """All that the twin has there for r1, but its camera."""
-            for path in twin.iterdir():
-                if path.name != "r1.camera":
-                    (elsewhere / path.name).symlink_to(path)
-            with broken_camera(twin / "r1.camera", elsewhere / "r1.camera") as camera:
-                cameras.append(camera)
-                yield elsewhere
-
-        folder = tmp_path_factory.mktemp("hostile")
-        with dive_of_two(folder, between) as (dive, shown), Rogue(dive.fleet, "r2") as liar:
-            liar.linked("r1")
-            it = Water(dive, shown, cameras[0], liar)
-            it.until("in sight", lambda s: s.knows == "sees" and s.measurements > 1)
-            yield it
+    folder, camera = tmp_path_factory.mktemp("hostile"), BrokenCamera()
+    with dive_of_two(folder, camera.between) as (dive, shown), Rogue(dive.fleet, "r2") as liar:
+        liar.linked("r1")
+        it = Water(dive, shown, camera, liar)
+        it.until("in sight", lambda s: s.knows == "sees" and s.measurements > 1)
+        yield it
 
 
 def said(water: Water, gossip: Gossip | None = None, **about: object) -> bytes:
@@ -193,10 +178,10 @@ def test_a_request_number_that_is_used_again(water: Water) -> None:
 def test_frames_without_pixels(water: Water) -> None:
     """They are a fault while they last, and no longer; the robot says of what."""
     water.well()
-    water.camera.broken = True
+    water.camera.broken = "empty"
     blind = water.until("blind", lambda s: any(fault.startswith("no camera: ") for fault in s.faults))
     water.until("spoiled", lambda s: water.camera.spoiled > 2)
-    water.camera.broken = False
+    water.camera.broken = None
     after = water.well()
     water.until("measures again", lambda s: s.measurements > after.measurements)
     assert any("0x0" in fault for fault in blind.faults), blind.faults
