@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from agent.core import topics
-from agent.core.config import Fleet, common
+from agent.core.config import Fleet
+from agent.core.trust import common
 
 # --- access rules ---
 # Who may do what to whom in a secured fleet: Zenoh's access rules of one process. Pure.

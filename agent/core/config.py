@@ -1,11 +1,10 @@
-"""The tables of fleet.toml as frozen structs, files into structs and back, and the digest that a fleet shares.
+"""The tables of fleet.toml as frozen structs, and files into structs and back.
 
 agent/robot/fleet_reader.py reads a fleet file and checks it against its rules.
 """
 
 from __future__ import annotations
 
-import hashlib
 import math
 import tomllib
 from collections.abc import Iterator
@@ -560,62 +559,3 @@ def _below(there: Any, chunk: str) -> list[Any]:
     fields = [field.type for field in getattr(there, "fields", ()) if field.encode_name == chunk]
     inner = [getattr(there, name) for name in ("value_type", "item_type") if hasattr(there, name)]
     return [*fields, *inner, *getattr(there, "item_types", ())]
-
-
-# --- fleet digest ---
-# What all fleet files of a fleet have to share, in sixteen characters that travel with every message. Robots whose
-# files differ here would add up what does not belong together, or wait for each other in vain. What a robot has for
-# itself is left out: its place, depth, look, devices, camera and body, where its files lie, how often it speaks.
-
-
-def common(fleet: Fleet) -> str:
-    """Digest of what the robots of a fleet have to agree on: 16 hexadecimal digits of SHA-256.
-
-    The order of tables, of robots, of neighbours and of landmarks does not count, nor does 1 for 1.0.
-    """
-    shared = {
-        "fleet": fleet.fleet,
-        "tank": msgspec.to_builtins(fleet.tank),
-        "refractive_index": fleet.water.refractive_index,  # how murky the water is, only the twin uses
-        "estimation": msgspec.to_builtins(fleet.estimation),
-        "target": {name: _target(target) for name, target in fleet.target.items()},
-        "robot": {name: sorted(set(robot.neighbours)) for name, robot in fleet.robot.items()},
-    }
-    if fleet.budget != CAREFUL:
-        shared["budget"] = msgspec.to_builtins(fleet.budget)
-    if fleet.landmarks is not None:
-        shared["landmarks"] = _landmarks(fleet.landmarks)
-    if fleet.coverage is not None:
-        shared["coverage"] = msgspec.to_builtins(fleet.coverage)  # maps of other cells never come out equal
-    if fleet.lighting is not None:  # which robots have a lamp, and when it is lent
-        shared["lighting"] = msgspec.to_builtins(fleet.lighting)
-        shared["lamp"] = sorted(name for name, robot in fleet.robot.items() if robot.lamp)
-    if fleet.extend is not None:  # only the capabilities know which of it robots have to agree on
-        shared["extend"] = fleet.extend
-    text = msgspec.json.encode(_plain(shared), order="sorted")
-    return hashlib.sha256(text).hexdigest()[:16]
-
-
-def _target(target: Target) -> dict[str, Any]:
-    """What the target is. Pictures, the boxes in them and models are files, and each robot may have its own."""
-    swims = {} if target.speed_m_s is None else {"speed_m_s": target.speed_m_s, "turn_s": target.turn_s}
-    if target.detector == "box":
-        return {"detector": target.detector, **swims}
-    size: dict[str, Any] = {"length_m": target.length_m}
-    if target.detector == "ball":
-        size = {"radius_m": target.radius_m, "radius_sigma_m": target.radius_sigma_m}
-    return {"detector": target.detector, "colour": "sampled" if target.picture else target.ball_colour, **size, **swims}
-
-
-def _landmarks(landmarks: Landmarks) -> dict[str, Any]:
-    """One map for all: places that robots computed from different maps do not belong together."""
-    return {**msgspec.to_builtins(landmarks), "tag": msgspec.to_builtins(sorted(landmarks.tag, key=lambda tag: tag.id))}
-
-
-def _plain(value: Any) -> Any:
-    """The same with every number as a float: a Fleet that is made in Python may have 1 for 1.0."""
-    if isinstance(value, dict):
-        return {name: _plain(part) for name, part in value.items()}
-    if isinstance(value, (list, tuple)):
-        return [_plain(part) for part in value]
-    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value

@@ -6,12 +6,15 @@ passed it on, for honest robots verify before they pass on.
 
 Without keys: while a robot is heard directly, only its own messages count about it. About robots that are out of reach
 a relay is believed: nothing is known against it.
+
+A message counts of a robot whose fleet file has the same digest, `common`.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Iterable, Mapping
-from typing import Generic, NamedTuple, Protocol, TypeVar
+from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 import msgpack
 import msgspec
@@ -20,6 +23,7 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PublicKey
 
 from agent.core.capability_messages import Frame
 from agent.core.codec import Refusal
+from agent.core.config import CAREFUL, Fleet, Landmarks, Target
 from agent.core.link_clocks import CLOCKS_NS, INSISTS, LinkClock, Transit, Way
 from agent.core.messages import Entry, Epoch, Proposal, Sample, Vector
 from agent.core.step_transaction import Revertible
@@ -430,3 +434,62 @@ def _restarted(sender: Sender[M], incarnation: int, now_ns: int) -> Sender[M]:
         before=None if newest is None else (newest.message.incarnation, newest.arrived_ns),
         doubled_ns=now_ns if returned else sender.doubled_ns,
     )
+
+
+# --- fleet digest ---
+# What all fleet files of a fleet have to share, in sixteen characters that travel with every message. Robots whose
+# files differ here would add up what does not belong together, or wait for each other in vain. What a robot has for
+# itself is left out: its place, depth, look, devices, camera and body, where its files lie, how often it speaks.
+
+
+def common(fleet: Fleet) -> str:
+    """Digest of what the robots of a fleet have to agree on: 16 hexadecimal digits of SHA-256.
+
+    The order of tables, of robots, of neighbours and of landmarks does not count, nor does 1 for 1.0.
+    """
+    shared = {
+        "fleet": fleet.fleet,
+        "tank": msgspec.to_builtins(fleet.tank),
+        "refractive_index": fleet.water.refractive_index,  # how murky the water is, only the twin uses
+        "estimation": msgspec.to_builtins(fleet.estimation),
+        "target": {name: _target(target) for name, target in fleet.target.items()},
+        "robot": {name: sorted(set(robot.neighbours)) for name, robot in fleet.robot.items()},
+    }
+    if fleet.budget != CAREFUL:
+        shared["budget"] = msgspec.to_builtins(fleet.budget)
+    if fleet.landmarks is not None:
+        shared["landmarks"] = _landmarks(fleet.landmarks)
+    if fleet.coverage is not None:
+        shared["coverage"] = msgspec.to_builtins(fleet.coverage)  # maps of other cells never come out equal
+    if fleet.lighting is not None:  # which robots have a lamp, and when it is lent
+        shared["lighting"] = msgspec.to_builtins(fleet.lighting)
+        shared["lamp"] = sorted(name for name, robot in fleet.robot.items() if robot.lamp)
+    if fleet.extend is not None:  # only the capabilities know which of it robots have to agree on
+        shared["extend"] = fleet.extend
+    text = msgspec.json.encode(_plain(shared), order="sorted")
+    return hashlib.sha256(text).hexdigest()[:16]
+
+
+def _target(target: Target) -> dict[str, Any]:
+    """What the target is. Pictures, the boxes in them and models are files, and each robot may have its own."""
+    swims = {} if target.speed_m_s is None else {"speed_m_s": target.speed_m_s, "turn_s": target.turn_s}
+    if target.detector == "box":
+        return {"detector": target.detector, **swims}
+    size: dict[str, Any] = {"length_m": target.length_m}
+    if target.detector == "ball":
+        size = {"radius_m": target.radius_m, "radius_sigma_m": target.radius_sigma_m}
+    return {"detector": target.detector, "colour": "sampled" if target.picture else target.ball_colour, **size, **swims}
+
+
+def _landmarks(landmarks: Landmarks) -> dict[str, Any]:
+    """One map for all: places that robots computed from different maps do not belong together."""
+    return {**msgspec.to_builtins(landmarks), "tag": msgspec.to_builtins(sorted(landmarks.tag, key=lambda tag: tag.id))}
+
+
+def _plain(value: Any) -> Any:
+    """The same with every number as a float: a Fleet that is made in Python may have 1 for 1.0."""
+    if isinstance(value, dict):
+        return {name: _plain(part) for name, part in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(part) for part in value]
+    return float(value) if isinstance(value, int) and not isinstance(value, bool) else value

@@ -12,12 +12,13 @@ from msgspec.structs import replace
 
 from agent.core.attitude import AttitudeLog
 from agent.core.capability import DAYLIGHT, MOORED, BodyAct, CameraAct, Context, LampAct, Situation
-from agent.core.config import Fleet, common
+from agent.core.config import Fleet
 from agent.core.messages import SCHEMA
 from agent.core.ranging.camera_model import Calibration
 from agent.core.status import Status
 from agent.core.step_io import Inputs, Outputs, SetPoint
 from agent.core.step_transaction import Revertible, StepTransaction
+from agent.core.trust import common
 from agent.robot.arbiter import Arbiter, Equipment
 from agent.robot.inbox import Inbox
 from agent.robot.operator import Operator

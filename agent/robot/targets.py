@@ -25,7 +25,7 @@ from agent.core.capability import (
     Spoiled,
     TargetView,
 )
-from agent.core.config import Pose, common
+from agent.core.config import Pose
 from agent.core.estimation.evidence_table import inside
 from agent.core.estimation.interface import Prior
 from agent.core.estimation.protocols import iteration_ns
@@ -38,6 +38,7 @@ from agent.core.step_io import Sighting, SweepOutcome
 from agent.core.step_transaction import Revertible, StepTransaction
 from agent.core.target_state import TargetState
 from agent.core.topics import next_due_ns
+from agent.core.trust import common
 from agent.robot.target_search import TargetScheduler, TargetSearch
 
 LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods

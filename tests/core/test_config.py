@@ -20,13 +20,13 @@ from agent.core.config import (
     Tank,
     Target,
     Twin,
-    common,
     convert,
     dump,
     inside,
     read_toml,
     write_whole,
 )
+from agent.core.trust import common
 from agent.robot.fleet_reader import load_fleet, with_behaviour
 from tests.full_disk import room
 from tests.places import ROOT

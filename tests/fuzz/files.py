@@ -24,9 +24,10 @@ from msgspec.structs import replace
 
 from agent.clock import clock, machine
 from agent.core.codec import encode
-from agent.core.config import ConfigError, Fleet, common, dump
+from agent.core.config import ConfigError, Fleet, dump
 from agent.core.ranging.camera_model import Calibration, load_calibration, load_focus
 from agent.core.step_io import Inputs
+from agent.core.trust import common
 from agent.ground.page.server import hello
 from agent.perception.enhancement.enhance import shipped_weights
 from agent.perception.tracking.follow import load_nano

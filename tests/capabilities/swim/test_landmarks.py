@@ -11,8 +11,9 @@ from scipy.spatial.transform import Rotation
 from agent.capabilities.swim.landmark_look import SEARCH_DEG, WAIT_NS, LandmarkLook, Sure
 from agent.capabilities.swim.landmarks import axes, corners, facing, markers, survey_jacobian
 from agent.core.attitude import Attitude
-from agent.core.config import Body, ConfigError, Landmarks, Pose, Tag, Tank, common, dump
+from agent.core.config import Body, ConfigError, Landmarks, Pose, Tag, Tank, dump
 from agent.core.ranging.camera_model import camera_pose, to_camera
+from agent.core.trust import common
 from agent.robot.fleet_reader import broken_landmark_rules, load_fleet
 from tests.places import ROOT
 
