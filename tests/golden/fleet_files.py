@@ -16,6 +16,7 @@ import msgspec
 
 from agent.core.config import ConfigError, dump
 from agent.core.ranging.camera_model import load_calibration, load_focus
+from agent.core.trust import common
 from agent.robot.fleet_reader import broken_rules, load_fleet, load_robot, read_fleet, two_worlds, with_behaviour
 from tests.network.scripted_agent import CALIBRATION
 from tests.places import GOLDEN, ROOT
@@ -56,6 +57,8 @@ WRONG: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
             ('serial = "twin:r4"', 'serial = "/dev/ttyACM0"'),
         ),
     ),
+    ("tank", (("[estimation]", "[budget]\nlevel_m = 0.003\n[estimation]"),)),
+    ("tank", (("[estimation]", "[budget]\nlevel_m = -1\n[estimation]"),)),
     ("tank", (("tcp/", "tls/"),)),
     ("tank", (('detector = "ball"\nradius_m = 0.07', 'detector = "box"\nbox = [1, 2, 30, 0]\ncolour = "red"'),)),
     ("tank", (("radius_m = 0.07", "radius_m = 0.07\npicture = 'x.png'\nmodels = 'nano'"),)),
@@ -90,6 +93,12 @@ WRONG: tuple[tuple[str, tuple[tuple[str, str], ...]], ...] = (
         )
     ),
 )
+UNREADABLE = {
+    "nested": f"a = {'[' * 60}{']' * 60}",
+    "digits": f"fleet = {'1' * 5000}",
+    "large": "#" * (2**20 + 1),
+    "strange names": "[\"a'b\\n\"]\nfleet = 'tank'",
+}
 BEHAVIOURS = ('{ kind = "hold" }', "{", '{ kind = "fly" }', '{ kind = "goto", x_m = 0.0, y_m = 1.0 }')
 TAG = "{{id: {0}, size: 0.08, x: 0.7, y: {1}, z: {2}, qw: {3}, qx: 0.0, qy: 0.0, qz: 0.0}}"
 POSE = '{{"ID": {0}, "pose": {{"translation": {{"x": 0.7, {1}"z": 0.0}}, "rotation": {{"quaternion": {2}}}}}}}'
@@ -125,7 +134,7 @@ LAYOUTS = (
 def rows() -> Iterator[dict[str, object]]:
     """Each file, and what is said of it."""
     for path in sorted(FLEETS.glob("*.toml")):
-        yield {"file": path.name, "says": said(path)}
+        yield {"file": path.name, "says": said(path), "digest": common(load_fleet(path))}
     with TemporaryDirectory() as folder:
         path = Path(folder) / "fleet.toml"
         for name, changes in WRONG:
@@ -143,6 +152,10 @@ def rows() -> Iterator[dict[str, object]]:
         yield {"file": "none", "says": said(path.parent / "none.toml")}
         path.write_bytes(b"\xff\xfe")
         yield {"file": "no text", "says": said(path)}
+        for what, text in UNREADABLE.items():
+            path.write_text(text)
+            yield {"file": what, "says": said(path)}
+        yield {"file": "a name that is none", "says": outcome(lambda: dump(read_fleet(Path("\0"))))}
         path.unlink()
         path.mkdir()
         yield {"file": "a folder", "says": said(path)}
