@@ -17,7 +17,7 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
-from agent.core.codec import MOST_DEEP, too_deep
+from agent.core.codec import MOST_DEEP, printable, too_deep
 
 # --- fleet file ---
 
@@ -458,7 +458,7 @@ def typed(data: dict[str, Any], kind: type[T], what: object) -> T:
     try:
         return msgspec.convert(data, kind)
     except msgspec.ValidationError as error:
-        raise ConfigError(f"{what}: {explain(error, data, kind)}") from None
+        raise ConfigError(f"{what}: {printable(explain(error, data, kind))}") from None
 
 
 # Larger than any of that unit which a robot, a tank or a camera has; a unit is the end of a name.
