@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from agent.experiments.claim import Share
-from tests.bench.swim import bench_bearings, bench_creature, bench_gyro, bench_hold
+from tests.bench.swim import bench_bearings, bench_gyro, bench_hold
 
 
 def test_a_gyro_is_compared_with_none_where_both_were_run() -> None:
@@ -18,13 +17,6 @@ def test_a_robot_that_does_not_know_where_it_is_leaves_no_number() -> None:
     known = {"off_mm": 3.0, "yaw_deg": 0.2, "own_mm": 1.0}
     told = bench_hold.summary({"tags": [known, {**known, "own_mm": None}]})
     assert told["tags_own_mm"] is None and told["tags_off_mm"] == pytest.approx(3.0)
-
-
-def test_frames_of_all_fish_are_counted() -> None:
-    row = {"near": [True, False], "far": [True], "false": 1, "without": 10, "off": [0.1], "overlap": [0.8]}
-    told = bench_creature.summary({"all": [row, {**row, "off": [], "overlap": []}]})
-    assert (told["near"], told["far"], told["false"]) == (Share(2, 4), Share(2, 2), Share(2, 20))
-    assert told["off"] == pytest.approx(0.1) and told["overlap"] == pytest.approx(0.8)
 
 
 def test_errors_of_a_track_are_pooled_as_squares() -> None:

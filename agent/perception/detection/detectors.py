@@ -237,8 +237,8 @@ def _box_detector(name: str, target: Target, size: tuple[int, int]) -> BoxDetect
 # stands alone: nothing has to be remembered, so nothing can be followed by mistake.
 
 FINEST = 2  # pixels are looked at so many together, across and down
-# Chosen on frames of the twin's koi (seeds 1, 2, 4, 11 and 12; others in tests/bench/swim/bench_creature.py): its
-# orange has 0.37 to 1.1, a near stone before a far wall 0.35.
+# Chosen on frames of the twin's koi (seeds 1, 2, 4, 11 and 12): its orange has 0.37 to 1.1, a near stone
+# before a far wall 0.35.
 STRONG, WEAK = 0.40, 0.20  # difference of logarithms of light: of what is surely its colour, and of what belongs to it
 LEAST_STRONG = 12  # of these larger pixels: in less there is no colour but noise
 SLACK_RAD = 0.2  # beyond the hues of balls: no outline says what is paint and what is not

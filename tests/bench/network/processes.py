@@ -88,16 +88,16 @@ def resident_mb(pid: int) -> float:
 
 
 @contextmanager
-def swarm_of(count: int, secured: bool = False, guests: Sequence[str] = ()) -> Iterator[Swarm]:
-    """So many robots are started, each on a host of its own, a network namespace; guests: other hosts.
+def swarm_of(count: int) -> Iterator[Swarm]:
+    """So many robots are started, each on a host of its own, a network namespace.
 
     Raises ConfigError where this machine gives none.
     """
     if (why := refused()) is not None:
         raise ConfigError(f"network namespaces are not to be had on this machine: {why}")
     names = [f"r{k + 1}" for k in range(count)]
-    with Relay([*names, WATCHER, *guests], set(names)) as relay, tempfile.TemporaryDirectory() as folder:
-        swarm = Swarm(relay, dict.fromkeys(names, 0.0), Path(folder), secured=secured)
+    with Relay([*names, WATCHER], set(names)) as relay, tempfile.TemporaryDirectory() as folder:
+        swarm = Swarm(relay, dict.fromkeys(names, 0.0), Path(folder))
         try:
             swarm.start(*names)
             yield swarm

@@ -59,5 +59,5 @@ def test_a_dive_outlives_its_certificates_and_a_renewed_one_counts_at_once(secur
             given(keys, "r2", datetime.now(UTC) + timedelta(days=1))
             began_s = time.monotonic()
             until(lambda: list(r1.info.transports()))
-            assert time.monotonic() - began_s < 10.0  # `aucamp experiment hosts` says how long it takes
+            assert time.monotonic() - began_s < 10.0
         del listening
