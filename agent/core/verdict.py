@@ -20,6 +20,7 @@ KEEPS_NS = 5_000_000_000
 
 WINDOW_NS, FEWEST = 30_000_000_000, 20  # own samples whose scatter is judged: of so long, at least so many
 SCATTERS = (1.8, 3.0)  # their mean NIS in units of its expectation: suspect, contradicted
+TURNS = (2.5, 4.0)  # the same of a target that moves: in some half minutes it turns more than its dynamics have it
 SWEEPS, FEWEST_SWEEPS = 20, 5
 REFUSED = (0.1, 0.5)  # share of sweeps in which focus and size contradict each other
 APART = (3.0, 6.0)  # sigma, of the ratio of both ranges
@@ -97,7 +98,7 @@ class Consistency(Revertible):
         if len(self._scatter) >= FEWEST and now_ns - self._scatter[0][0] > WINDOW_NS // 2:
             times = sum(value for _, value in self._scatter) / len(self._scatter)
             text = f"samples scatter {math.sqrt(times):.1f} times as much as they say"
-            self._raise("scatter", times, SCATTERS, text, now_ns)
+            self._raise("scatter", times, TURNS if explain.epoch.moving else SCATTERS, text, now_ns)
         if explain.stretch is not UNSET and explain.stretch is not None:
             by, sigma = explain.stretch
             if abs(by) > LONG * sigma:

@@ -21,6 +21,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import reduce
 from itertools import accumulate
 from typing import Literal, NamedTuple
 
@@ -223,15 +224,23 @@ def stretch(opinions: Sequence[Opinion], scale: float = 0.0) -> tuple[float, flo
     """
     if len(opinions) < DOUBTED:
         return None
-    information, vector = _sum(map(_word, opinions))
-    covariance = invert(information)
-    _, pulled = _sum((of.precision, apply(of.precision, of.lever_m)) for of in opinions)
+    levers = [of.lever_m for of in opinions]
+    precisions = [_unstretched(of, scale) for of in opinions]
+    covariance = invert(reduce(plus, precisions))
+    _, vector = _sum((L, apply(L, of.x_m)) for L, of in zip(precisions, opinions, strict=True))
+    _, pulled = _sum((L, apply(L, a)) for L, a in zip(precisions, levers, strict=True))
     x, lever = apply(covariance, vector), apply(covariance, pulled)
-    known = math.fsum(inner(of.lever_m, apply(of.precision, difference(of.lever_m, lever))) for of in opinions)
+    known = math.fsum(inner(a, apply(L, difference(a, lever))) for L, a in zip(precisions, levers, strict=True))
     if known <= 0.0:
         return None
-    seen = math.fsum(inner(of.lever_m, apply(of.precision, difference(of.x_m, x))) for of in opinions)
+    off = [difference(of.x_m, x) for of in opinions]
+    seen = math.fsum(inner(a, apply(L, e)) for L, a, e in zip(precisions, levers, off, strict=True))
     return seen / known, math.sqrt(1.0 / known + scale * scale)
+
+
+def _unstretched(of: Opinion, scale: float) -> Symmetric:
+    """Its precision without what the scale makes of its lever."""
+    return of.precision if scale == 0.0 else invert(minus(of.cov_m2, times(scale * scale, outer(of.lever_m))))
 
 
 # --- origins that stand out ---
