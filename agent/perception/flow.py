@@ -168,6 +168,7 @@ QUEUE = 64  # frames that are not fetched yet: 6 s
 WIDER = 1.2  # times a target: points keep away from so much
 REST_M = 0.9  # where the lens is sharp between sweeps
 NEAR_M = 0.5  # from here on a tag of 8 cm can be read then; a lens as far from rest as that is still sharp enough
+OPENS_S = 0.02  # the exposure of a frame begins so long before its middle at most, and the one before has begun earlier
 
 
 class LandmarkWatch:
@@ -194,10 +195,13 @@ class LandmarkWatch:
         fit_corners(square, light_of_bytes(self._camera.gamma), rough, self._camera)
 
     def wait_s(self, now_ns: int) -> float:
-        """How long until the next whole frame is due; now_ns by the agent's clock."""
+        """How long until the next whole frame is to be asked for; now_ns by the agent's clock.
+
+        A camera gives the next frame whose exposure begins, so that one is asked for a little before it is due.
+        """
         if self._newest_ns is None:
             return 0.0
-        return max(0.0, self.period_s - (now_ns - self._newest_ns) * 1e-9)
+        return max(0.0, self.period_s - OPENS_S - (now_ns - self._newest_ns) * 1e-9)
 
     def rest_at(self, lens_position: int | None) -> None:
         """Where the lens shall be between sweeps, as near as landmarks can be read from there; None: `sharp`."""

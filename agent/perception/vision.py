@@ -249,10 +249,7 @@ class Vision:
         with self._changed:
             plan, self._plan = self._plan, None
         if plan is None:
-            if self._landmarks is not None and (sharp := self._landmarks.due(self._lens_position)) is not None:
-                self._rest_lens(camera, self._landmarks, sharp)
-            elif self._rest not in (None, self._lens_position) and camera.focus_range() is not None:
-                self._lens_position = camera.set_focus(self._rest)
+            self._rest_lens(camera)
             self._look(camera, tuple(self._detectors))
             idle_s = self._landmarks.wait_s(self._clock.now_ns()) if self._landmarks else IDLE_PERIOD_S
             self._wait(part, idle_s, until_plan=True)
@@ -263,11 +260,17 @@ class Vision:
         else:
             self._sweep(camera, plan, part)
 
-    def _rest_lens(self, camera: Camera, landmarks: LandmarkWatch, sharp: int) -> None:
+    def _rest_lens(self, camera: Camera) -> None:
         """Where it is to be between sweeps. A lens takes the nearest of its steps, or does not move at all."""
-        if camera.focus_range() is not None:
-            self._lens_position = camera.set_focus(sharp)
-        landmarks.rested(sharp, self._lens_position)
+        landmarks, wanted = self._landmarks, self._rest
+        if landmarks is not None:
+            wanted = landmarks.due(self._lens_position)
+        if wanted is None:
+            return
+        if camera.focus_range() is not None and wanted != self._lens_position:
+            self._lens_position = camera.set_focus(wanted)
+        if landmarks is not None:
+            landmarks.rested(wanted, self._lens_position)
 
     def _survey(self, camera: Camera, plan: SweepPlan, part: Part) -> None:
         """A sweep over whole frames, of no target."""

@@ -21,6 +21,9 @@ STEEP = 0.35  # cosine between a tag's normal and the way to it: beyond 70 degre
 WAIT_NS = 700_000_000  # for fixes from the frames in a direction, gimbal at rest
 ENOUGH, TURN_DEG = 1.0, 60.0  # landmarks' worth for one fix; and so much of it is a turn by that angle, half a second
 EMPTY = 2  # frames without a landmark, though the gimbal has all but come there, and the next look is due
+# Of a camera that watches a target: what of a landmark's worth the farthest tilt aside costs, and a tilt unlike before.
+ASIDE, UNLIKE = 0.1, 0.1
+INSIDE_DEG = 1.0  # from the edge of the picture, where a landmark is whole for certain
 SEARCH_DEG = tuple((pan, tilt) for tilt in (-10.0, -35.0) for pan in (0.0, 30.0, -30.0, 60.0, -60.0, 85.0, -85.0))
 
 
@@ -46,8 +49,8 @@ class Way(NamedTuple):
 class LandmarkLook(Revertible):
     """One look for landmarks after the other, until the pose is sure enough."""
 
-    def __init__(self, markers: Iterable[Marker], body: Body, surface_m: float, half_deg: float) -> None:
-        """half_deg: from the middle of the picture to its nearest edge."""
+    def __init__(self, markers: Iterable[Marker], body: Body, surface_m: float, half_deg: tuple[float, float]) -> None:
+        """half_deg: from the middle of the picture to its side, and to its upper edge."""
         self._markers, self._body, self._surface_m, self._half_deg = tuple(markers), body, surface_m, half_deg
         self._step = 0
         self._way: tuple[float, float] | None = None  # of this step: a gimbal that is told another angle never rests
@@ -92,6 +95,38 @@ class LandmarkLook(Revertible):
         self._step, self._way, self._until_ns = 0, None, None
         self._looked_at.clear()
 
+    def tilt_aside_deg(
+        self,
+        way: tuple[float, float],
+        most_deg: float,
+        before_deg: float,
+        pose: Pose,
+        level: Attitude,
+    ) -> float:
+        """How far above a target to look, by most_deg at most either way, so that its picture shows landmarks too.
+
+        way: pan and tilt to the target; before_deg: what this said last.
+        """
+        pan, tilt = way
+        shown = []  # from which tilt to which a landmark is whole, and its worth
+        for mark in self._in_reach(pose, Sure(0.0, 0.0), level):
+            cut_deg = min(self._half_deg) - mark.room_deg + INSIDE_DEG
+            if abs(mark.pan_deg - pan) < self._half_deg[0] - cut_deg:
+                room_deg = self._half_deg[1] - cut_deg
+                shown.append((mark.tilt_deg - tilt - room_deg, mark.tilt_deg - tilt + room_deg, mark.worth))
+        low, high = (limit - tilt for limit in self._body.tilt_limit_deg)
+        ways = {0.0, before_deg, *(edge for low_deg, high_deg, _ in shown for edge in (low_deg, high_deg))}
+        within = [aside for aside in ways if abs(aside) <= most_deg and low <= aside <= high]
+        if not most_deg or not within:
+            return 0.0
+
+        def worth(aside: float) -> float:
+            seen = sum(worth for low_deg, high_deg, worth in shown if low_deg <= aside <= high_deg)
+            costs = ASIDE * abs(aside) + UNLIKE * abs(aside - before_deg)
+            return min(seen, ENOUGH) - costs / most_deg
+
+        return max(within, key=lambda aside: (worth(aside), -abs(aside)))
+
     def _best(
         self, pose: Pose, sure: Sure, level: Attitude, from_deg: tuple[float, float] | None
     ) -> tuple[float, float] | None:
@@ -124,7 +159,7 @@ class LandmarkLook(Revertible):
             pan, tilt = look_at(marker.middle_m, pose, self._body, *level, self._surface_m)
             free = _within(pan, self._body.pan_limit_deg) and _within(tilt, self._body.tilt_limit_deg)
             half_m = math.dist(marker.middle_m, marker.corners_m[0])
-            room_deg = self._half_deg - math.degrees(math.atan2(half_m, distance_m))
+            room_deg = min(self._half_deg) - math.degrees(math.atan2(half_m, distance_m))
             if free and distance_m < FAR_M and square > STEEP and room_deg > 0.0:
                 sigma_deg = math.hypot(sure.yaw_deg, math.degrees(math.atan2(sure.place_m, distance_m)))
                 worth = square * math.exp(-distance_m / CLEAR_M)
@@ -152,6 +187,7 @@ def _within(deg: float, limits: tuple[float, float]) -> bool:
     return limits[0] <= deg <= limits[1]
 
 
-def half_picture_deg(camera: CameraFit) -> float:
-    """From the middle of the picture to its nearest edge."""
-    return math.degrees(math.atan(0.5 * min(camera.width_px, camera.height_px) / camera.f_px))
+def half_picture_deg(camera: CameraFit) -> tuple[float, float]:
+    """From the middle of the picture to its side, and to its upper edge."""
+    wide, high = (math.degrees(math.atan(0.5 * px / camera.f_px)) for px in (camera.width_px, camera.height_px))
+    return wide, high

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 
 from msgspec import UNSET, UnsetType
 
+from agent.capabilities.swim.landmark_look import half_picture_deg
 from agent.capabilities.swim.swimmer import Swimmer, pose_of
 from agent.capabilities.swim.tag_fix import TURNING_DEG
 from agent.core.attitude import AttitudeLog
@@ -166,6 +167,10 @@ HIDDEN_S, HIDDEN_M = 0.3, 1.4  # after it is lost; farther away it may just not 
 # Samples of one robot that a track of what swims remembers: (R dt / q)^(1/4) is about dt at 10 to 20 cm/s. What is
 # alike in more of them does not count more often.
 REMEMBERS = 2.0
+# Of the picture's height, kept free beside a target that is not in its middle, for landmarks shall be in it, too: the
+# target's rising and falling, and what its course and the servos are unsure of.
+FREE_DEG, PITCHED = 1.5, 0.25  # of its length, by which it is higher or lower than its middle
+ASIDE_STEP_DEG = 1.0  # in each step of 50 ms: slow enough that frames stay sharp
 # Of the gimbal: the servos' lag, half of a step, and what a frame is known late of the gimbal's own doing.
 AHEAD_S = SERVO_LAG_S + 0.05
 
@@ -182,6 +187,7 @@ class Pursuit(Revertible):
         share = robots.index(name) / len(robots)
         self._gimbal_track, self._scan = GimbalTrack(share), Scan(share)
         self._newest: Sighting | None = None  # that showed the target since the last iteration
+        self._aside_deg = 0.0  # by which the camera looks above the target
         self._lens: int | None = None  # where it is sharp; None: where landmarks are
         self._told: int | None = None  # the lens
 
@@ -223,7 +229,7 @@ class Pursuit(Revertible):
             math.radians(math.hypot(self._calibration.camera.noise_deg, sigma_deg)),
             None if believed is None else carried_on(believed, swims, seen.t_ns),
             seen.t_ns,
-            0.5 * max(self._fleet.tank.size_m),
+            self._fleet.tank.size_m,
             sized=self._fleet.ranging.cues != "focus",
             velocity_m_s=None if believed is None else believed.v_m_s,
             tilt_sigma_rad=math.radians(play_deg) if gimbal.tracks else 0.0,
@@ -260,8 +266,23 @@ class Pursuit(Revertible):
         at_m = self._searched(at_m, of.believed.cov_m2, (x, y, at_m[2]), lost, now_ns)
         pan, tilt = look_at(at_m, pose, body, *level, surface_m)
         eye_m = camera_pose(pose, body, *level, pan, tilt, surface_m).position_m
-        self._lens = round(lens_position(self._calibration.focus, max(math.dist(at_m, eye_m), NEAREST_M)))
-        return CameraAct((pan, tilt), "track", name)
+        far_m = max(math.dist(at_m, eye_m), NEAREST_M)
+        self._lens = round(lens_position(self._calibration.focus, far_m))
+        return CameraAct((pan, tilt + self._beside_deg((pan, tilt), far_m, situation)), "track", name)
+
+    def _beside_deg(self, way_deg: tuple[float, float], far_m: float, situation: Situation) -> float:
+        """By how much the camera looks above a target that it sees, so that it shows landmarks beside it."""
+        believed, target = situation.target.believed, self._fleet.target[self._swimmer.pursues or ""]
+        if believed is None or situation.level is None or not self._gimbal_track.sees(situation.now_ns):
+            self._aside_deg = 0.0
+            return 0.0
+        high_m = PITCHED * (target.length_m or 0.0) + (target.radius_m or 0.0)
+        high_m += SIGMAS * math.sqrt(max(believed.cov_m2[5], 0.0))
+        room_deg = half_picture_deg(self._calibration.camera)[1] - math.degrees(math.atan2(high_m, far_m)) - FREE_DEG
+        wanted = self._swimmer.beside_deg(way_deg, max(room_deg, 0.0), self._aside_deg, situation.level)
+        step = min(max(wanted - self._aside_deg, -ASIDE_STEP_DEG), ASIDE_STEP_DEG)
+        self._aside_deg += step
+        return self._aside_deg
 
     def _searched(self, at_m: Vector, cov_m2: Symmetric, here_m: Vector, lost_by_all: bool, now_ns: int) -> Vector:
         """Of all places where it may be the one to look at now: the middle one while the robot sees it. Where all have

@@ -36,7 +36,7 @@ from agent.capabilities.swim.localizer import (
 )
 from agent.capabilities.swim.pose_filter import Belief, Wrench
 from agent.capabilities.swim.search import Hunt, Surroundings, velocity_m_s
-from agent.core.attitude import AttitudeLog
+from agent.core.attitude import Attitude, AttitudeLog
 from agent.core.capability import BodyAct, CameraAct, CameraView, Situation, SwimPhase
 from agent.core.config import (
     Behaviour,
@@ -426,6 +426,13 @@ class Swimmer(Revertible):
     def look_back(self) -> None:
         """The camera is not at landmarks any more."""
         self._at_landmarks = False
+
+    def beside_deg(self, way_deg: tuple[float, float], most_deg: float, before_deg: float, level: Attitude) -> float:
+        """How far above a target to look, see LandmarkLook.tilt_aside_deg; straight at it where the robot is lost."""
+        here = self.here
+        if here is None or adrift(here):
+            return 0.0
+        return self._landmark_look.tilt_aside_deg(way_deg, most_deg, before_deg, pose_of(here), level)
 
     # --- body, row by row of the table of priorities ---
 

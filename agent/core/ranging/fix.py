@@ -14,6 +14,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from agent.core.config import CAREFUL, Budget, Cues, Target
+from agent.core.estimation.evidence_table import inside
 from agent.core.estimation.interface import Bearing
 from agent.core.linear_algebra import ZERO, cross, difference, plus, times
 from agent.core.messages import Symmetric, Vector
@@ -370,10 +371,10 @@ BENDING = 0.03  # of a box's longer side, by which a body that bends moves the m
 HIGH = 0.3  # of a creature's length, as a fish; it heads the way it swims: the side it shows is known where that is
 SHOWN = 0.6  # of its length, which it shows from most sides
 HIDDEN = 0.5  # of what it lacks to what it ought to show: it may be turned, or a stone hides so much at one of its ends
-# Its height is the same from all sides, as long as it swims level: in the twin's rendered dives 0.3 lengths, standard
-# deviation of its logarithm 0.2, by what is blurred, bends and pitches; other fish are slimmer, or stouter. What one
-# frame says of the range the next ones do, for as long as it keeps its side: half a second of frames count as one.
-HIGH_SIGMA, ALIKE = 0.2, 5.0
+# Its height is the same from all sides, as long as it swims level: in rendered dives 0.3 lengths, standard deviation of
+# its logarithm 0.25 within 1.1 m, by what is blurred, bends and pitches, and half of it is found beyond; other fish are
+# slimmer, or stouter. What one frame says of the range the next ones do: two seconds of frames count as one.
+HIGH_SIGMA, ALIKE = 0.3, 20.0
 CUT_PX = 4.0  # from the edge of the picture: there may be more of it beyond
 HEADS = 0.5  # of its usual speed: slower, it may face anywhere
 TURNS_RAD = 0.6  # by which it may face elsewhere than it is believed to swim: a track knows of a turn when it is over
@@ -389,7 +390,7 @@ def sight_line(
     gimbal_sigma_rad: float,
     believed_m: Vector | None,
     t_ns: int,
-    unknown_m: float,
+    tank_m: Vector,
     sized: bool = True,
     velocity_m_s: Vector | None = None,
     tilt_sigma_rad: float = 0.0,
@@ -398,7 +399,7 @@ def sight_line(
     """The bearing of what a frame exposed at t_ns shows.
 
     eye, own: of that moment. believed_m: where the target is believed to have been then, world frame; it gives the
-    range unless a ball's size does. None: unknown. unknown_m: the range then. sized: whether its size may say
+    range unless a ball's size does. None: unknown. tank_m: where it is for certain. sized: whether its size may say
     anything of the range. velocity_m_s: of the target as it is believed to swim; None: unknown.
     tilt_sigma_rad: what the gimbal may be off by up or down besides.
     """
@@ -409,13 +410,15 @@ def sight_line(
     way = None if believed_m is None else (believed_m[0] - px, believed_m[1] - py, believed_m[2] - pz)
     side = None if velocity_m_s is None else _side(r, velocity_m_s, target)
     sigma_m, far_m = None, _height_range_m(outline, target, camera) if sized else None
+    if far_m is not None and not inside((px + far_m * r[0], py + far_m * r[1], pz + far_m * r[2]), tank_m):
+        far_m = None  # not all of it is seen, or it is no such animal: where it is across is right all the same
     if sized and target.radius_m is not None and outline.radius_px is not None:
         size = size_range(camera, outline, target)
         range_m, sigma_m = size.distance_m, math.sqrt(size.variance_m2)
     elif way is not None:
         range_m = max(r[0] * way[0] + r[1] * way[1] + r[2] * way[2], NEAREST_M)
     else:
-        range_m = unknown_m if far_m is None else max(far_m, NEAREST_M)
+        range_m = 0.5 * max(tank_m) if far_m is None else max(far_m, NEAREST_M)
     arm = px + range_m * r[0] - eye.body_m[0], py + range_m * r[1] - eye.body_m[1], 0.0
     up_m = range_m * tilt_sigma_rad
     pose_m2 = plus(times(own.kappa, carried(arm, own.fluctuates)), carried(arm, own.stays))

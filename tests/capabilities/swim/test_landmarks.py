@@ -28,7 +28,7 @@ def on_wall(number, y_m, face="x1", x_m=2.5):
 
 
 def glance(*tags, body=BODY):
-    return LandmarkLook(markers(Landmarks(size_m=0.08, tag=tags)).values(), body, SURFACE_M, half_deg=14.0)
+    return LandmarkLook(markers(Landmarks(size_m=0.08, tag=tags)).values(), body, SURFACE_M, half_deg=(18.0, 14.0))
 
 
 def ways(of, count, pose=HERE, sure=KNOWN):

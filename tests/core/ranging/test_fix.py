@@ -255,7 +255,7 @@ SIGHT_LINE_BALL, BODY = Target(radius_m=0.07), Body(camera_m=(0.10, 0.02, -0.01)
 SIGHT_LINE_CAMERA = replace(known_lens.CAMERA, bend=0.39, ahead_m=-0.0017)
 THERE, GIMBAL_RAD = (1.1, 0.9, 0.25), math.radians(0.3)
 EXACT = OwnPose((0.0,) * 6, (0.0,) * 6, 1.0)
-T_NS = 10**18
+T_NS, TANK_M = 10**18, (2.0, 1.5, 0.6)
 
 
 def sight_line_eye(dx=0.0, dy=0.0, dyaw=0.0, turned=(0.0, 0.0)):
@@ -269,7 +269,7 @@ def outline(here, at=THERE, **more):
 
 
 def sight_line_seen(of, by, believed=THERE, own=EXACT, sized=True):
-    return sight_line(SIGHT_LINE_CAMERA, by, of, SIGHT_LINE_BALL, own, GIMBAL_RAD, believed, T_NS, 1.0, sized)
+    return sight_line(SIGHT_LINE_CAMERA, by, of, SIGHT_LINE_BALL, own, GIMBAL_RAD, believed, T_NS, TANK_M, sized)
 
 
 def test_the_line_goes_through_the_target_and_says_nothing_along_it() -> None:
@@ -306,7 +306,7 @@ def test_what_is_hidden_of_a_creature_widens_its_line() -> None:
 
     def sigma_m(shown: float, target: Target = fish) -> float:
         of = outline(here, size_px=(shown * whole_px, 0.2 * shown * whole_px))
-        found = sight_line(SIGHT_LINE_CAMERA, here, of, target, EXACT, 0.0, THERE, T_NS, 1.0, sized=False)
+        found = sight_line(SIGHT_LINE_CAMERA, here, of, target, EXACT, 0.0, THERE, T_NS, TANK_M, sized=False)
         return 1.0 / math.sqrt(np.linalg.eigvalsh(matrix(found.information))[2])
 
     assert sigma_m(1.0) == pytest.approx(0.03 * 0.15, rel=0.06), "it bends"
@@ -322,23 +322,35 @@ def test_a_creatures_height_says_a_little_of_how_far_it_is_and_nothing_across() 
     high_px = 0.3 * 0.15 * SIGHT_LINE_CAMERA.f_px / (1.3 * d)  # it seems to be 1.3 times as far as it is
     for believed, long_px in ((THERE, 20.0), (THERE, 90.0), (None, 40.0)):  # from its head, its side
         of = outline(here, size_px=(long_px, high_px))
-        found = sight_line(SIGHT_LINE_CAMERA, here, of, fish, EXACT, GIMBAL_RAD, believed, T_NS, 1.0)
+        found = sight_line(SIGHT_LINE_CAMERA, here, of, fish, EXACT, GIMBAL_RAD, believed, T_NS, TANK_M)
         plain = sight_line(
-            SIGHT_LINE_CAMERA, here, of, fish, EXACT, GIMBAL_RAD, believed or found.x_m, T_NS, 1.0, sized=False
+            SIGHT_LINE_CAMERA, here, of, fish, EXACT, GIMBAL_RAD, believed or found.x_m, T_NS, TANK_M, sized=False
         )
         along = (THERE - origin) / d
         assert np.array(found.x_m) - origin == pytest.approx(1.3 * d * along, rel=0.01)
         weight = matrix(found.information) - matrix(plain.information)
-        assert weight == pytest.approx(np.outer(along, along) / (0.2**2 * 5 * (1.3 * d) ** 2), abs=0.05)
+        assert weight == pytest.approx(np.outer(along, along) / (0.3**2 * 20 * (1.3 * d) ** 2), abs=0.05)
+    low = outline(here, size_px=(20.0, 0.25 * high_px))  # a fin is all that is found of it: it seems beyond the wall
+    found = sight_line(SIGHT_LINE_CAMERA, here, low, fish, EXACT, GIMBAL_RAD, None, T_NS, TANK_M)
+    plain = sight_line(SIGHT_LINE_CAMERA, here, low, fish, EXACT, GIMBAL_RAD, None, T_NS, TANK_M, sized=False)
+    assert found == plain, "a range that leads out of the tank says nothing; the way across does"
     same = sight_line(
-        SIGHT_LINE_CAMERA, here, outline(here, size_px=(9.0, 9.0)), Target(detector="box"), EXACT, 0.0, THERE, T_NS, 1.0
+        SIGHT_LINE_CAMERA,
+        here,
+        outline(here, size_px=(9.0, 9.0)),
+        Target(detector="box"),
+        EXACT,
+        0.0,
+        THERE,
+        T_NS,
+        TANK_M,
     )
     assert abs(along @ matrix(same.information) @ along) < 1e-6, "of a box nobody knows the size"
     cut = outline(
         here,
         size_px=(40.0, 2.1 * min(outline(here).centre_px[1], SIGHT_LINE_CAMERA.height_px - outline(here).centre_px[1])),
     )
-    cut = sight_line(SIGHT_LINE_CAMERA, here, cut, fish, EXACT, GIMBAL_RAD, THERE, T_NS, 1.0)
+    cut = sight_line(SIGHT_LINE_CAMERA, here, cut, fish, EXACT, GIMBAL_RAD, THERE, T_NS, TANK_M)
     assert abs(along @ matrix(cut.information) @ along) < 1e-6, "what the edge of the picture cuts off may be any size"
 
 
@@ -351,7 +363,7 @@ def test_which_side_it_shows_is_known_where_its_speed_is() -> None:
 
     def line(velocity):
         told = None if velocity is None else tuple(velocity)
-        return sight_line(SIGHT_LINE_CAMERA, here, of, fish, EXACT, 0.0, THERE, T_NS, 1.0, velocity_m_s=told)
+        return sight_line(SIGHT_LINE_CAMERA, here, of, fish, EXACT, 0.0, THERE, T_NS, TANK_M, velocity_m_s=told)
 
     widths = [np.linalg.eigvalsh(matrix(line(way).information)) for way in (None, 0.3 * aside)]
     assert (widths[0] == widths[1]).all(), "one that hardly swims may face anywhere"
