@@ -56,8 +56,8 @@ class Targets(Revertible):
         self._light: Illumination = context.light
         self._source: PoseSource = context.source
         self._iteration_ns = {target: iteration_ns(fleet, target) for target in fleet.target}
-        shared = common(fleet)
-        self.all = {target: TargetState(fleet, name, target, context.incarnation, shared) for target in fleet.target}
+        digest = common(fleet)
+        self.all = {target: TargetState(fleet, name, target, context.incarnation, digest) for target in fleet.target}
         self._scheduler = TargetScheduler(tuple(fleet.target))
         self._judged: Measurement | None = None  # a sweep whose light is not known to have stayed
         self._turned = False  # the turn changed in this step

@@ -79,14 +79,14 @@ class Opinion(NamedTuple):
     random_m2: Symmetric = ZERO
 
 
-class Common(NamedTuple):
+class Shared(NamedTuple):
     """What all robots have wrong alike."""
 
     place_m2: Symmetric = ZERO  # covariance: frame of the tank, level of the water
     scale: float = 0.0  # standard deviation of the share by which all ranges are long
 
 
-NONE = Common()  # nothing
+NONE = Shared()  # nothing
 
 
 class Ballot(NamedTuple):
@@ -139,7 +139,7 @@ class Fused(NamedTuple):
     parts: Parts  # of those that agree, none of them doubted
 
 
-def fuse(opinions: Sequence[Opinion], common: Common = NONE, liars: int = 1) -> Fused | None:
+def fuse(opinions: Sequence[Opinion], shared: Shared = NONE, liars: int = 1) -> Fused | None:
     """Fuse opinions given in the order of their names; None without any.
 
     `liars`: how many may be wrong at once, 1 or 2; two are looked for where as many agree as PAIRS says.
@@ -153,16 +153,16 @@ def fuse(opinions: Sequence[Opinion], common: Common = NONE, liars: int = 1) -> 
     everybody = (apply(covariance, vector), covariance)
     singles = list(_leaving_one_out(group)) if len(group) >= DOUBTED else []
     doubt = _doubt(group, singles, liars)
-    certain, parts = 1.0 - doubt.strength, _parts(group, covariance, common)
-    x, covariance = everybody = everybody[0], plus(covariance, _stretched(group, covariance, common.scale))
+    certain, parts = 1.0 - doubt.strength, _parts(group, covariance, shared)
+    x, covariance = everybody = everybody[0], plus(covariance, _stretched(group, covariance, shared.scale))
     if doubt.ways:
-        x, covariance = mixture([(certain, *everybody), *_places(group, doubt, common.scale)])
+        x, covariance = mixture([(certain, *everybody), *_places(group, doubt, shared.scale)])
     factors = {opinion.origin: doubt.factor(opinion.origin) for opinion in group}
     sizes = {opinion.origin: factors[opinion.origin] * trace(opinion.precision) for opinion in group}
     total = math.fsum(sizes.values())
     return Fused(
         x,
-        plus(covariance, common.place_m2),
+        plus(covariance, shared.place_m2),
         ballot.verdict,
         ballot.votes,
         {opinion.origin: factors.get(opinion.origin, 0.0) for opinion in opinions},
@@ -190,15 +190,15 @@ def _stretched(group: Sequence[Opinion], covariance: Symmetric, scale: float) ->
     return times(scale * scale, minus(outer(g), apart))
 
 
-def _parts(group: Sequence[Opinion], covariance: Symmetric, common: Common) -> Parts:
-    random_m2, scale2, g, apart_m2 = 0.0, common.scale * common.scale, (0.0, 0.0, 0.0), 0.0
+def _parts(group: Sequence[Opinion], covariance: Symmetric, shared: Shared) -> Parts:
+    random_m2, scale2, g, apart_m2 = 0.0, shared.scale * shared.scale, (0.0, 0.0, 0.0), 0.0
     for opinion in group:
         weight = product(square(covariance), square(opinion.precision))
         random_m2 += trace(symmetric_part(product(product(weight, square(opinion.random_m2)), transpose(weight))))
         moved = image(weight, opinion.lever_m)
         g, apart_m2 = add(g, 1.0, moved), apart_m2 + scale2 * inner(moved, moved)
     own_m2 = max(trace(covariance) - random_m2 - apart_m2, 0.0)
-    return Parts(random_m2, own_m2, scale2 * inner(g, g), trace(common.place_m2))
+    return Parts(random_m2, own_m2, scale2 * inner(g, g), trace(shared.place_m2))
 
 
 def mixture(places: Iterable[tuple[float, Vector, Symmetric]]) -> tuple[Vector, Symmetric]:
