@@ -148,7 +148,7 @@ def restates(estimate: Estimate, sums, shared: Shared) -> bool | None:
     if {origin for origin, *_ in held} != CLOCK_AHEAD_S.keys() or not all(key in sums for key in held):
         return None
     by_origin = {name: [sums[key] for key in held if key[0] == name] for name in CLOCK_AHEAD_S}
-    fused = fuse([opinion(name, entries, shared.scale) for name, entries in by_origin.items()], shared)
+    fused = fuse([opinion(name, entries, shared) for name, entries in by_origin.items()], shared)
     return estimate.cov_m2 == pytest.approx(fused.cov_m2, rel=1e-9, abs=1e-15)
 
 

@@ -295,7 +295,7 @@ class StaticTarget(Revertible):
 
     def __init__(self, me: Me, epoch: Epoch) -> None:
         self._me, self._epoch = me, epoch
-        self._table = Table(me.shared.scale)
+        self._table = Table(me.shared)
         self._ledgers: dict[str, DeliveryLedger[Key]] = {name: DeliveryLedger() for name in me.neighbours}
         self._change = 0
         self._news_ns: dict[str, int] = {}  # when each origin was last known to have measured
@@ -408,7 +408,7 @@ class StaticTarget(Revertible):
             epoch=self._epoch,
             nis=self._nis if valid else None,
             sway_m=fused.sway_m,
-            stretch=stretch([o for o in opinions if fused.factors[o.origin] > 0.0], self._me.shared.scale),
+            stretch=stretch([o for o in opinions if fused.factors[o.origin] > 0.0], self._me.shared),
             parts_m2=fused.parts,
         )
         if fused.verdict == "ambiguous":

@@ -72,8 +72,8 @@ class MovingTarget(Revertible):
         if isinstance(prior, Bearing):
             self._add_bearing(number, prior)
             return None
-        stretched = times(self._me.shared.scale**2, outer(prior.lever_m))
-        covariance = plus(plus(floored(prior.random_m2), prior.systematic_m2), stretched)
+        scale_m2 = self._me.shared.scale_m2(prior.lever_m)
+        covariance = plus(plus(floored(prior.random_m2), prior.systematic_m2), scale_m2)
         information = inverse(covariance)
         if information is None:
             raise ValueError(f"covariance of the prior {covariance} is singular")

@@ -12,8 +12,8 @@ from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import Bounds
 from agent.core.estimation.fuse import NONE, Shared
 from agent.core.estimation.interface import EstimateCache, Estimator, Posterior, Prior, Update, Word
-from agent.core.estimation.track import ROLLING, Dynamics, outer, swimming
-from agent.core.linear_algebra import plus, times, trace
+from agent.core.estimation.track import ROLLING, Dynamics, swimming
+from agent.core.linear_algebra import plus, trace
 from agent.core.messages import Estimate, Explain, Symmetric, Vector
 from agent.core.step_transaction import Revertible
 from agent.core.trust import CachedMessage, Verify, verify_signature
@@ -104,8 +104,7 @@ class Means(Revertible):
 
     def _stretched(self, prior: Prior) -> Prior:
         """A prior that has in its systematic error what the scale of all ranges makes of its lever."""
-        stretched = times(self._shared.scale**2, outer(prior.lever_m))
-        return prior._replace(systematic_m2=plus(prior.systematic_m2, stretched))
+        return prior._replace(systematic_m2=plus(prior.systematic_m2, self._shared.scale_m2(prior.lever_m)))
 
     def by_others(self) -> Posterior | None:
         return None  # means have no origins

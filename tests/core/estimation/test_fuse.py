@@ -21,6 +21,7 @@ from agent.core.estimation.fuse import (
     distances2,
     doubts,
     fuse,
+    stretch,
 )
 from agent.core.estimation.fuse import inverse as inverse_blocks
 from agent.core.estimation.track import begin, correct, predict
@@ -189,6 +190,20 @@ def test_one_scale_of_all_ranges_is_in_the_mean_as_in_matrices(where: str, n: in
         assert full(fused.cov_m2) == pytest.approx(expected, rel=1e-9, abs=1e-15)
     random_m2 = sum(np.trace(w @ r @ w.T) for w, r in zip(W, own, strict=True)) / 4.0
     assert fused.parts == pytest.approx((random_m2, 3.0 * random_m2, SCALE**2 * float(g @ g), 0.0))
+
+
+@pytest.mark.parametrize("n", [3, 15])
+def test_by_how_much_all_ranges_are_long_is_fitted_with_the_place_by_least_squares(n: int) -> None:
+    """By what each robot has for itself; the scale that robots allow for is added to the sigma."""
+    group = watchers(n, SPREADS["around"], np.random.default_rng(8), eps=0.03)
+    N, b = np.zeros((4, 4)), np.zeros(4)
+    for o in group:
+        D = np.column_stack([np.eye(3), o.lever_m])
+        weight = np.linalg.inv(full(o.cov_m2) - SCALE**2 * outer(o.lever_m))
+        N, b = N + D.T @ weight @ D, b + D.T @ weight @ o.x_m
+    eps, sigma = stretch(group, Shared(scale=SCALE))
+    assert eps == pytest.approx(np.linalg.solve(N, b)[3], rel=1e-6)
+    assert sigma == pytest.approx(math.sqrt(np.linalg.inv(N)[3, 3] + SCALE**2), rel=1e-6)
 
 
 @pytest.mark.parametrize("n", [3, 15])
