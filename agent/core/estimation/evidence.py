@@ -27,7 +27,7 @@ from functools import partial
 from msgspec.structs import replace
 
 from agent.core.estimation.evidence_table import Bounds, Key, Table, entry_fault, floored, mark
-from agent.core.estimation.fuse import NONE, Fused, Shared, fuse, stretch
+from agent.core.estimation.fuse import NONE, Fused, Shared, fuse, parts, stretch
 from agent.core.estimation.interface import Bearing, EstimateCache, Posterior, Prior, Update, Word
 from agent.core.estimation.modes import Conclusion, DeliveryLedger, Me, Mode, outliving
 from agent.core.estimation.motion import Innovation, Motion
@@ -409,7 +409,7 @@ class StaticTarget(Revertible):
             nis=self._nis if valid else None,
             sway_m=fused.sway_m,
             stretch=stretch([o for o in opinions if fused.factors[o.origin] > 0.0], self._me.shared),
-            parts_m2=fused.parts,
+            parts_m2=parts([o for o in opinions if o.origin in fused.shares], self._me.shared),
         )
         if fused.verdict == "ambiguous":
             return Conclusion(self._alone(valid) or before or _agreed(fused), "ambiguous", alpha, explain)

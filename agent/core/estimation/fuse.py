@@ -140,7 +140,6 @@ class Fused(NamedTuple):
     factors: dict[str, float]  # what counts of each origin's claim; 0: left out
     shares: dict[str, float]  # of each origin in the mean, by trace of information; sum 1
     sway_m: dict[str, float]  # of each in the group: from here to where the others would be without it
-    parts: Parts  # of those that agree, none of them doubted
 
 
 def fuse(opinions: Sequence[Opinion], shared: Shared = NONE, liars: int = 1) -> Fused | None:
@@ -154,13 +153,12 @@ def fuse(opinions: Sequence[Opinion], shared: Shared = NONE, liars: int = 1) -> 
     group = [opinion for opinion in opinions if opinion.origin in ballot.group]
     information, vector = _sum(map(_word, group))
     covariance = invert(information)
-    everybody = (apply(covariance, vector), covariance)
+    everybody = apply(covariance, vector), plus(covariance, _stretched(group, covariance, shared))
     singles = list(_leaving_one_out(group)) if len(group) >= DOUBTED else []
     doubt = _doubt(group, singles, liars)
-    certain, parts = 1.0 - doubt.strength, _parts(group, covariance, shared)
-    x, covariance = everybody = everybody[0], plus(covariance, _stretched(group, covariance, shared))
+    x, covariance = everybody
     if doubt.ways:
-        x, covariance = mixture([(certain, *everybody), *_places(group, doubt, shared)])
+        x, covariance = mixture([(1.0 - doubt.strength, *everybody), *_places(group, doubt, shared)])
     factors = {opinion.origin: doubt.factor(opinion.origin) for opinion in group}
     sizes = {opinion.origin: factors[opinion.origin] * trace(opinion.precision) for opinion in group}
     total = math.fsum(sizes.values())
@@ -172,7 +170,6 @@ def fuse(opinions: Sequence[Opinion], shared: Shared = NONE, liars: int = 1) -> 
         {opinion.origin: factors.get(opinion.origin, 0.0) for opinion in opinions},
         {name: size / total for name, size in sizes.items()},
         {name: math.dist(x, single.x_m) for single in singles for name in single.out},
-        parts,
     )
 
 
@@ -195,7 +192,9 @@ def _stretched(group: Sequence[Opinion], covariance: Symmetric, shared: Shared) 
     return times(scale * scale, minus(outer(g), apart))
 
 
-def _parts(group: Sequence[Opinion], covariance: Symmetric, shared: Shared) -> Parts:
+def parts(group: Sequence[Opinion], shared: Shared) -> Parts:
+    """Of what the covariance of those that agree is made, none of them doubted; there is at least one."""
+    covariance = invert(reduce(plus, (opinion.precision for opinion in group)))
     random_m2, scale2, g, apart_m2 = 0.0, shared.scale * shared.scale, (0.0, 0.0, 0.0), 0.0
     for opinion in group:
         weight = product(square(covariance), square(opinion.precision))

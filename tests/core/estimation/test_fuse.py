@@ -21,6 +21,7 @@ from agent.core.estimation.fuse import (
     distances2,
     doubts,
     fuse,
+    parts,
     stretch,
 )
 from agent.core.estimation.fuse import inverse as inverse_blocks
@@ -189,7 +190,9 @@ def test_one_scale_of_all_ranges_is_in_the_mean_as_in_matrices(where: str, n: in
     if all(factor == 1.0 for factor in fused.factors.values()):
         assert full(fused.cov_m2) == pytest.approx(expected, rel=1e-9, abs=1e-15)
     random_m2 = sum(np.trace(w @ r @ w.T) for w, r in zip(W, own, strict=True)) / 4.0
-    assert fused.parts == pytest.approx((random_m2, 3.0 * random_m2, SCALE**2 * float(g @ g), 0.0))
+    assert parts(group, Shared(scale=SCALE)) == pytest.approx(
+        (random_m2, 3.0 * random_m2, SCALE**2 * float(g @ g), 0.0)
+    )
 
 
 @pytest.mark.parametrize("n", [3, 15])
