@@ -16,11 +16,10 @@ from numpy.typing import NDArray
 from agent.core.config import Estimation, Fleet, Look, Orbit, Pose, Protocol, Robot, Tank, Target
 from agent.core.estimation.interface import Prior
 from agent.core.estimation.protocols import shared_of
-from agent.core.linear_algebra import difference, distance2, plus, upper, wrap
+from agent.core.linear_algebra import difference, distance2, full, plus, upper, wrap
 from agent.core.messages import Estimate, Vector, Verdict
 from agent.core.ranging.camera_model import Calibration
 from agent.core.target_state import TargetState
-from agent.demo.summary import full
 from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value, percentile
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK as BASIN
