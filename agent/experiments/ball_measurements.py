@@ -272,7 +272,7 @@ def errors(
     if isinstance(found, NoRange):
         return {"refused": found.reason}
     measured = found.outline, found.lens_position, found.sigma, ball, cue
-    fix, reach = locate(known, eye, *measured), distance(known, *measured, math.asin(eye.rotation[2][2]))
+    fix, reach = locate(known, eye, *measured), distance(known, *measured, eye.tilt_rad)
     if isinstance(fix, NoRange) or isinstance(reach, NoRange):
         return {"refused": fix.reason if isinstance(fix, NoRange) else ""}
     e = np.array(fix.position_m) - truth_m

@@ -5,7 +5,6 @@ It proposes for the camera as capabilities do, on the last row of the table: wha
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterable, Mapping
 
 from msgspec import UNSET, UnsetType
@@ -151,9 +150,8 @@ class Targets(Revertible):
         if self._fleet.ranging.cues != "both" or self.current.ball.radius_m is None or level is None:
             return
         eye = self._target_search.eye(level, self._moored)
-        tilt_rad = math.asin(max(-1.0, min(1.0, eye.rotation[2][2])))
         outline, sigma, _ = self._light.corrected(peak, eye, self.current.ball, "both")
-        ratio = cue_ratio(self._calibration, outline, peak.lens_position, sigma, self.current.ball, tilt_rad)
+        ratio = cue_ratio(self._calibration, outline, peak.lens_position, sigma, self.current.ball, eye.tilt_rad)
         self.current.consistency.sweep(ratio, refused, now_ns)
 
     def look(self, sightings: Iterable[Sighting], pose: Pose, own: OwnView | None) -> None:

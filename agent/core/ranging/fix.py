@@ -72,7 +72,7 @@ def locate(
     NoRange where the wanted cues have no range, or contradict each other.
     """
     axis = apply(eye.rotation, (0.0, 0.0, 1.0))
-    d = distance(calibration, outline, rho, sigma_rho, ball, cues, math.asin(max(-1.0, min(1.0, axis[2]))))
+    d = distance(calibration, outline, rho, sigma_rho, ball, cues, eye.tilt_rad)
     if isinstance(d, NoRange):
         return d
     camera = at_lens_position(calibration.camera, outline.lens_position)
