@@ -25,6 +25,12 @@ def upper(matrix: Iterable[Iterable[float]]) -> Symmetric:
     return (xx, xy, xz, yy, yz, zz)
 
 
+def full(a: Symmetric) -> tuple[Vector, Vector, Vector]:
+    """All rows of it, for what takes a matrix."""
+    xx, xy, xz, yy, yz, zz = a
+    return (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
+
+
 def plus(a: Symmetric, b: Symmetric) -> Symmetric:
     return a[0] + b[0], a[1] + b[1], a[2] + b[2], a[3] + b[3], a[4] + b[4], a[5] + b[5]
 

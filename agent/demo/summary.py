@@ -22,7 +22,8 @@ import numpy as np
 
 from agent.core.capability_messages import Claim
 from agent.core.config import Fleet
-from agent.core.messages import State, Symmetric, Vector
+from agent.core.linear_algebra import full
+from agent.core.messages import State, Vector
 from replay.check.reexecute import black_boxes, open_boxes
 from replay.report.creature_track import CreatureTrack, Held, creature_track
 
@@ -280,12 +281,6 @@ def _errors(track: CreatureTrack, robot: str, since_ns: int) -> tuple[np.ndarray
 
 def _pairs(e: np.ndarray, rows: list[Held], known: np.ndarray) -> list[tuple[np.ndarray, Held]]:
     return [(d, row) for d, row, is_known in zip(e, rows, known, strict=True) if is_known]
-
-
-def full(cov_m2: Symmetric) -> np.ndarray:
-    """(3, 3) of xx xy xz yy yz zz."""
-    xx, xy, xz, yy, yz, zz = cov_m2
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 def _rms(values: np.ndarray) -> float:

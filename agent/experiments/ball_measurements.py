@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from agent.clock.clock import StandingClock
 from agent.core.config import Cues, Fleet, Pose, Target, WaterKind
 from agent.core.estimation.track import outer
-from agent.core.linear_algebra import plus, times
+from agent.core.linear_algebra import full, plus, times, trace
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import (
     Calibration,
@@ -272,17 +272,16 @@ def errors(
     if isinstance(found, NoRange):
         return {"refused": found.reason}
     measured = found.outline, found.lens_position, found.sigma, ball, cue
-    fix, reach = locate(known, eye, *measured), distance(known, *measured, math.asin(eye.rotation[2][2]))
+    fix, reach = locate(known, eye, *measured), distance(known, *measured, eye.tilt_rad)
     if isinstance(fix, NoRange) or isinstance(reach, NoRange):
         return {"refused": fix.reason if isinstance(fix, NoRange) else ""}
     e = np.array(fix.position_m) - truth_m
     stretch = (1.0 - fix.focus_share) * ball.radius_sigma_m / (ball.radius_m or 1.0)  # of a range by size
-    xx, xy, xz, yy, yz, zz = plus(fix.covariance_m2, times(stretch * stretch, outer(fix.lever_m)))
-    covariance = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    covariance = plus(fix.covariance_m2, times(stretch * stretch, outer(fix.lever_m)))
     return {
-        "nees": float(e @ np.linalg.solve(covariance, e)),
+        "nees": float(e @ np.linalg.solve(full(covariance), e)),
         "error_mm": 1e3 * float(np.linalg.norm(e)),
-        "sigma_mm": 1e3 * math.sqrt(xx + yy + zz),
+        "sigma_mm": 1e3 * math.sqrt(trace(covariance)),
         "range_mm": 1e3 * (reach.distance_m + known.camera.ahead_m - distance_m),
         "range_sigma_mm": 1e3 * math.sqrt(reach.variance_m2),
         "focus_share": fix.focus_share,

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 
 from agent.core.config import Estimation, Fleet, Look, Orbit, Pose, Protocol, Robot, Tank, Target
 from agent.core.estimation.interface import Prior
-from agent.core.estimation.protocols import shared
-from agent.core.linear_algebra import difference, distance2, plus, upper, wrap
+from agent.core.estimation.protocols import shared_of
+from agent.core.linear_algebra import difference, distance2, full, plus, upper, wrap
 from agent.core.messages import Estimate, Vector, Verdict
 from agent.core.ranging.camera_model import Calibration
 from agent.core.target_state import TargetState
-from agent.demo.summary import full
 from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value, percentile
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK as BASIN
@@ -104,9 +103,9 @@ def dive(case: Case, seconds: float, seed: int) -> Iterator[Belief]:
     names = [f"r{k}" for k in range(len(case.sees))]
     fleet = fleet_of(case, names)
     stands, long = stand(len(names), case.spread_rad), (*case.long, *[0.0] * len(names))
-    alike = shared(fleet, "it")
-    stays = rng.normal(0.0, STAYS_M, (len(names), 3)) + rng.multivariate_normal(np.zeros(3), full(alike.place_m2))
-    of_all = float(rng.normal(0.0, alike.scale))
+    shared = shared_of(fleet, "it")
+    stays = rng.normal(0.0, STAYS_M, (len(names), 3)) + rng.multivariate_normal(np.zeros(3), full(shared.place_m2))
+    of_all = float(rng.normal(0.0, shared.scale))
     clocks = [lambda ns, i=i: START_NS + ns + round(case.clock_s(i, ns * 1e-9) * 1e9) for i in range(len(names))]
     states = [TargetState(fleet, name, "it", clocks[k](0)) for k, name in enumerate(names)]
     phase = [float(rng.uniform(0.0, case.period_s)) for _ in names]

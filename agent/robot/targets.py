@@ -5,7 +5,6 @@ It proposes for the camera as capabilities do, on the last row of the table: wha
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Iterable, Mapping
 
 from msgspec import UNSET, UnsetType
@@ -56,8 +55,8 @@ class Targets(Revertible):
         self._light: Illumination = context.light
         self._source: PoseSource = context.source
         self._iteration_ns = {target: iteration_ns(fleet, target) for target in fleet.target}
-        shared = common(fleet)
-        self.all = {target: TargetState(fleet, name, target, context.incarnation, shared) for target in fleet.target}
+        digest = common(fleet)
+        self.all = {target: TargetState(fleet, name, target, context.incarnation, digest) for target in fleet.target}
         self._scheduler = TargetScheduler(tuple(fleet.target))
         self._judged: Measurement | None = None  # a sweep whose light is not known to have stayed
         self._turned = False  # the turn changed in this step
@@ -151,9 +150,8 @@ class Targets(Revertible):
         if self._fleet.ranging.cues != "both" or self.current.ball.radius_m is None or level is None:
             return
         eye = self._target_search.eye(level, self._moored)
-        tilt_rad = math.asin(max(-1.0, min(1.0, eye.rotation[2][2])))
         outline, sigma, _ = self._light.corrected(peak, eye, self.current.ball, "both")
-        ratio = cue_ratio(self._calibration, outline, peak.lens_position, sigma, self.current.ball, tilt_rad)
+        ratio = cue_ratio(self._calibration, outline, peak.lens_position, sigma, self.current.ball, eye.tilt_rad)
         self.current.consistency.sweep(ratio, refused, now_ns)
 
     def look(self, sightings: Iterable[Sighting], pose: Pose, own: OwnView | None) -> None:

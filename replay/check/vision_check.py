@@ -23,6 +23,7 @@ from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, T
 
 from agent.core.codec import decode
 from agent.core.config import Fleet
+from agent.core.linear_algebra import full
 from agent.core.messages import State
 from agent.core.ranging.camera_model import CameraFit, Eye, camera_pose
 from agent.core.ranging.fix import CENTRE_NOISE_PX, EDGE_BIAS_PX, Fix, NoRange, locate
@@ -162,9 +163,8 @@ def _fix(box: BlackBox, target: str, peak: Measurement, eye: Eye) -> Fix | NoRan
 
 def _apart(then: Fix, now: Fix) -> float:
     """How far one place is from the other, in standard deviations in that direction."""
-    xx, xy, xz, yy, yz, zz = then.covariance_m2
     shift = np.subtract(now.position_m, then.position_m)
-    return math.sqrt(float(shift @ np.linalg.solve([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], shift)))
+    return math.sqrt(float(shift @ np.linalg.solve(full(then.covariance_m2), shift)))
 
 
 def _outcomes(box: BlackBox) -> Iterator[tuple[SweepOutcome, Eye]]:

@@ -387,7 +387,7 @@ def open_run(path: Path) -> Run:
 
     Raises ConfigError if there is nothing to show, or if a recording cannot be read by this version.
     """
-    summary = _summary(path)
+    summary, told = _summary(path) or (None, None)
     boxes, fleet_path = _recordings(path)
     if not boxes and summary is None and fleet_path is None:
         raise ConfigError(f"{path}: no recording and no summary.json; give the folder of a run, or a recording")
@@ -402,7 +402,7 @@ def open_run(path: Path) -> Run:
         heard = _joined(heard, more, known)
     fleet = boxes[0].fleet if boxes else file.fleet if file else load_fleet(path / "fleet.toml")
     clock = _clock([*(box.path for box in boxes), *([file.path] if file else [])])
-    return Run(path, fleet, boxes, file, drawn, heard, summary, _truths(summary, fleet), start_ns, clock)
+    return Run(path, fleet, boxes, file, drawn, heard, summary, _truths(told, fleet), start_ns, clock)
 
 
 def _recordings(path: Path) -> tuple[list[BlackBox], Path | None]:
@@ -447,8 +447,8 @@ class _Summary(msgspec.Struct):
     reasons: list[str] = []
 
 
-def _summary(run: Path) -> dict[str, Any] | None:
-    """What the demo found; None for a run without one."""
+def _summary(run: Path) -> tuple[dict[str, Any], _Summary] | None:
+    """What the demo found, and of it what is read by name; None for a run without one."""
     path = run / "summary.json"
     if not path.exists():
         return None
@@ -458,14 +458,12 @@ def _summary(run: Path) -> dict[str, Any] | None:
         summary: dict[str, Any] = json.loads(text)
     except ValueError:
         raise ConfigError(f"{run}: no usable summary.json; repair it, or remove it to do without the truth") from None
-    convert(summary, _Summary, path)
-    return summary
+    return summary, convert(summary, _Summary, path)
 
 
-def _truths(summary: dict[str, Any] | None, fleet: Fleet) -> dict[str, Vector]:
-    if summary is None:
+def _truths(told: _Summary | None, fleet: Fleet) -> dict[str, Vector]:
+    if told is None:
         return {}
-    told = msgspec.convert(summary, _Summary)
     ended = {next(iter(fleet.target)): _Ended(truth_m=told.truth_m)} if told.targets is None else told.targets
     return {target: one.truth_m for target, one in ended.items() if not one.swims and one.truth_m is not None}
 

@@ -12,8 +12,7 @@ from agent.core.config import ConfigError
 from agent.core.estimation.evidence_table import Table
 from agent.core.estimation.fuse import fuse
 from agent.core.estimation.interface import Prior
-from agent.core.linear_algebra import upper
-from agent.demo.summary import full
+from agent.core.linear_algebra import full, upper
 from agent.experiments.claim import Claim, Figure, NoSettings, Row, Rows, Value, rms
 from agent.experiments.localization.lockstep import TARGET_M, draw_dive, draw_world
 
@@ -35,7 +34,7 @@ def run(seed: int, case: str, settings: NoSettings) -> list[Row]:
     fused = fuse(table.opinions())
     assert fused is not None
     of_each = list(zip(dive.sample_m.mean(axis=0), world.random_m2 / SAMPLES + world.systematic_m2, strict=True))
-    ways: dict[str, Place] = {"ours": (np.array(fused.x_m), full(fused.cov_m2))}
+    ways: dict[str, Place] = {"ours": (np.array(fused.x_m), np.array(full(fused.cov_m2)))}
     ways |= {way: in_turn(of_each, step) for way, step in steps().items()}
     return [{way: judged(*place) for way, place in ways.items()}]
 

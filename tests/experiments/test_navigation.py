@@ -11,14 +11,14 @@ from agent.capabilities.swim.projection import view
 from agent.capabilities.swim.tag_fix import Map, priors, tag_fix, whole
 from agent.core.attitude import Attitude
 from agent.core.config import Pose
-from agent.core.linear_algebra import wrap
+from agent.core.linear_algebra import full, plus, times, wrap
 from agent.core.messages import Estimate
 from agent.core.ranging.fix import Fix
 from agent.experiments.claim import Quantile, Share
 from agent.experiments.navigation import around_ball, basin, manoeuvres, search
 from agent.experiments.navigation.around_ball import aided, crossing, free_place, target
 from agent.experiments.navigation.basin import CAMERA, PlanarBodies
-from agent.experiments.navigation.joint_filter import JointFilter, full
+from agent.experiments.navigation.joint_filter import JointFilter
 from agent.experiments.navigation.manoeuvres import ORBIT_M, ORBIT_M_S, goto, off_orbit, settled_s
 from agent.experiments.navigation.swimmers import DrawnCamera, Swimmers
 from hw.twin.dive import RobotPose
@@ -91,7 +91,7 @@ def test_samples_of_one_robot_share_what_stays_and_those_of_two_do_not() -> None
             for _ in range(5):
                 joint.add_sample(i, sample((1.0, 1.0, 0.1)), (0.0,) * 6)
         at, covariance = joint.target
-        expected = (full(RANDOM) / 5 + full(STAYS)) / robots
+        expected = np.array(full(plus(times(1 / 5, RANDOM), STAYS))) / robots
         np.testing.assert_allclose(covariance, expected, rtol=1e-5, atol=1e-11)
         np.testing.assert_allclose(at, (1.0, 1.0, 0.1), atol=1e-6)
 
@@ -103,10 +103,10 @@ def test_who_does_not_know_its_yaw_learns_it_of_a_target_that_others_know() -> N
     joint.begin(1, S, (1.0, 0.5, 0.0), SURE)
     joint.add_sample(0, sample((1.0, 1.0, 0.1)), (0.0,) * 6)
     J = np.array([[1.0, 0.0, -1.0], [0.0, 1.0, 1.0], [0.0, 0.0, 0.0]])
-    alone = J @ full(unsure) @ J.T + full(RANDOM) + full(STAYS)
+    alone = J @ full(unsure) @ J.T + full(plus(RANDOM, STAYS))
     np.testing.assert_allclose(joint.target[1], alone, rtol=1e-4, atol=1e-9)
     joint.add_sample(1, sample((1.0, 1.0, 0.1)), (0.0,) * 6)
-    sure = full(RANDOM) + full(STAYS)
+    sure = np.array(full(plus(RANDOM, STAYS)))
     np.testing.assert_allclose(
         joint.target[1], np.linalg.inv(np.linalg.inv(alone) + np.linalg.inv(sure)), rtol=1e-3, atol=1e-10
     )

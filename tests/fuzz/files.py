@@ -268,7 +268,8 @@ SUMMARY = json.dumps({
 
 
 def _told(path: Path) -> None:
-    for place_m in _truths(_summary(path.parent), load_fleet(FLEETS[-2])).values():
+    _, told = _summary(path.parent) or (None, None)
+    for place_m in _truths(told, load_fleet(FLEETS[-2])).values():
         assert len(place_m) == 3, "no place"
         assert all(isinstance(x_m, float) and math.isfinite(x_m) for x_m in place_m), "no place"
 

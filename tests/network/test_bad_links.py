@@ -13,8 +13,8 @@ import pytest
 
 from agent.core.codec import decode
 from agent.core.estimation.evidence_table import opinion
-from agent.core.estimation.fuse import Common, fuse
-from agent.core.estimation.protocols import shared
+from agent.core.estimation.fuse import Shared, fuse
+from agent.core.estimation.protocols import shared_of
 from agent.core.messages import Entry, Estimate
 from agent.core.step_io import Outputs
 from replay.files.log import read
@@ -131,15 +131,15 @@ def test_nothing_was_counted_twice(swarm) -> None:
     for entry in (e for words_ in said.values() for estimate in words_ for e in estimate.gossip.entries):
         first = sums.setdefault((entry.origin, entry.incarnation, entry.count), entry)
         assert entry == first  # whoever passes a sum on, and whichever way it went
-    alike = shared(swarm.fleet, "ball")
+    shared = shared_of(swarm.fleet, "ball")
     for name in CLOCK_AHEAD_S:
         newest = [path for robot, path in swarm.boxes if robot == name][-1]
         last = [estimate for estimate in said[newest] if estimate.dst == said[newest][0].dst][-RECENT:]
-        checked = [found for estimate in last if (found := restates(estimate, sums, alike)) is not None]
+        checked = [found for estimate in last if (found := restates(estimate, sums, shared)) is not None]
         assert any(checked), f"{name}: {len(checked)} of its last statements could be checked, none was right"
 
 
-def restates(estimate: Estimate, sums, alike: Common) -> bool | None:
+def restates(estimate: Estimate, sums, shared: Shared) -> bool | None:
     """Whether a message's covariance is that of the sums it says it holds; None when they were not all recorded.
 
     Between two iterations a robot may hold more than it has drawn its conclusion from, so not every message can.
@@ -148,7 +148,7 @@ def restates(estimate: Estimate, sums, alike: Common) -> bool | None:
     if {origin for origin, *_ in held} != CLOCK_AHEAD_S.keys() or not all(key in sums for key in held):
         return None
     by_origin = {name: [sums[key] for key in held if key[0] == name] for name in CLOCK_AHEAD_S}
-    fused = fuse([opinion(name, entries, alike.scale) for name, entries in by_origin.items()], alike)
+    fused = fuse([opinion(name, entries, shared) for name, entries in by_origin.items()], shared)
     return estimate.cov_m2 == pytest.approx(fused.cov_m2, rel=1e-9, abs=1e-15)
 
 

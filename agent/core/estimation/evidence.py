@@ -27,7 +27,7 @@ from functools import partial
 from msgspec.structs import replace
 
 from agent.core.estimation.evidence_table import Bounds, Key, Table, entry_fault, floored, mark
-from agent.core.estimation.fuse import NONE, Common, Fused, fuse, stretch
+from agent.core.estimation.fuse import NONE, Fused, Shared, fuse, parts, stretch
 from agent.core.estimation.interface import Bearing, EstimateCache, Posterior, Prior, Update, Word
 from agent.core.estimation.modes import Conclusion, DeliveryLedger, Me, Mode, outliving
 from agent.core.estimation.motion import Innovation, Motion
@@ -73,7 +73,7 @@ class Evidence(Revertible):
         validity_ns: int,
         bounds: Bounds,
         max_entries: int = ENTRIES,
-        common: Common = NONE,
+        shared: Shared = NONE,
         liars: int = 1,
         subject: tuple[str, str] = ("", ""),
         verify: Verify = verify_signature,
@@ -81,7 +81,7 @@ class Evidence(Revertible):
     ) -> None:
         self._authority = Authority(neighbours, verify)
         key = (me, incarnation)
-        self._me = Me(key, neighbours, bounds, max_entries, common, self._authority, subject, liars, dynamics)
+        self._me = Me(key, neighbours, bounds, max_entries, shared, self._authority, subject, liars, dynamics)
         self._validity_ns = validity_ns
         self.t = 0
         self.valid = False
@@ -295,7 +295,7 @@ class StaticTarget(Revertible):
 
     def __init__(self, me: Me, epoch: Epoch) -> None:
         self._me, self._epoch = me, epoch
-        self._table = Table(me.common.scale)
+        self._table = Table(me.shared)
         self._ledgers: dict[str, DeliveryLedger[Key]] = {name: DeliveryLedger() for name in me.neighbours}
         self._change = 0
         self._news_ns: dict[str, int] = {}  # when each origin was last known to have measured
@@ -396,7 +396,7 @@ class StaticTarget(Revertible):
 
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
         opinions = self._table.opinions()
-        fused = fuse(opinions, self._me.common, self._me.liars)
+        fused = fuse(opinions, self._me.shared, self._me.liars)
         if fused is None:
             return Conclusion(before, "hold", 0.0, Explain(status="none", epoch=self._epoch))
         alpha = self._gain * fused.shares.get(self._me.key[0], 0.0) if valid else 0.0
@@ -408,8 +408,8 @@ class StaticTarget(Revertible):
             epoch=self._epoch,
             nis=self._nis if valid else None,
             sway_m=fused.sway_m,
-            stretch=stretch([o for o in opinions if fused.factors[o.origin] > 0.0], self._me.common.scale),
-            parts_m2=fused.parts,
+            stretch=stretch([o for o in opinions if fused.factors[o.origin] > 0.0], self._me.shared),
+            parts_m2=parts([o for o in opinions if o.origin in fused.shares], self._me.shared),
         )
         if fused.verdict == "ambiguous":
             return Conclusion(self._alone(valid) or before or _agreed(fused), "ambiguous", alpha, explain)
@@ -420,7 +420,7 @@ class StaticTarget(Revertible):
         """Fused as all are, without level and survey: those are wrong alike for all, and do not show between robots."""
         if self._by_others[0] != self._change:
             others = [opinion for opinion in self._table.opinions() if opinion.origin != self._me.key[0]]
-            fused = fuse(others, self._me.common._replace(place_m2=ZERO), self._me.liars)
+            fused = fuse(others, self._me.shared._replace(place_m2=ZERO), self._me.liars)
             place = None if fused is None or fused.verdict == "ambiguous" else _agreed(fused)
             self._by_others = self._change, place
         return self._by_others[1]
@@ -429,7 +429,7 @@ class StaticTarget(Revertible):
         """What our own samples say, while we see the target."""
         for opinion in self._table.opinions() if valid else ():
             if opinion.origin == self._me.key[0]:
-                return Posterior(opinion.x_m, plus(opinion.cov_m2, self._me.common.place_m2))
+                return Posterior(opinion.x_m, plus(opinion.cov_m2, self._me.shared.place_m2))
         return None
 
 

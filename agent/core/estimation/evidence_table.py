@@ -14,9 +14,9 @@ from struct import pack
 from typing import Any, NamedTuple
 from zlib import crc32
 
-from agent.core.estimation.fuse import AGREE, Opinion
+from agent.core.estimation.fuse import AGREE, NONE, Opinion, Shared
 from agent.core.estimation.interface import NOTHING, Bearing, Prior
-from agent.core.estimation.track import chord, line, outer
+from agent.core.estimation.track import chord, line
 from agent.core.linear_algebra import (
     ZERO,
     add,
@@ -44,9 +44,8 @@ INCARNATIONS = 4  # of one origin, the newest: a robot that restarts all day mus
 class Table(Revertible):
     """All entries of one epoch of one target: a state-based CRDT, whose join is `merge`."""
 
-    def __init__(self, scale: float = 0.0) -> None:
-        """scale: standard deviation of the share by which the ranges of all robots are long."""
-        self._scale = scale
+    def __init__(self, shared: Shared = NONE) -> None:
+        self._shared = shared
         self.entries: dict[Key, Entry] = {}
         self.marks: dict[Key, int] = {}  # of each entry a checksum, by which neighbours see whether theirs is the same
         self.hearsay: set[Key] = set()  # entries that came from others than their origin
@@ -127,11 +126,11 @@ class Table(Revertible):
     def _opinion(self, origin: str) -> Opinion | None:
         if self._opinions[origin] is None:
             keys = sorted(key for key in self.entries if key[0] == origin)
-            self._opinions[origin] = opinion(origin, [self.entries[key] for key in reversed(keys)], self._scale)
+            self._opinions[origin] = opinion(origin, [self.entries[key] for key in reversed(keys)], self._shared)
         return self._opinions[origin]
 
 
-def opinion(origin: str, entries: list[Entry], scale: float = 0.0) -> Opinion | None:
+def opinion(origin: str, entries: list[Entry], shared: Shared = NONE) -> Opinion | None:
     """One origin's mean over its incarnations, given newest first; None while some direction is unseen.
 
     The newest counts; older ones are added as long as their means agree with it. One that claims to have seen
@@ -156,7 +155,7 @@ def opinion(origin: str, entries: list[Entry], scale: float = 0.0) -> Opinion | 
     random = inverse(information)
     if random is None:
         return None
-    covariance = plus(plus(random, times(1.0 / total, systematic)), times(scale * scale, outer(lever_m)))
+    covariance = plus(plus(random, times(1.0 / total, systematic)), shared.scale_m2(lever_m))
     precision = inverse(covariance)
     return None if precision is None else Opinion(origin, apply(random, vector), covariance, precision, lever_m, random)
 

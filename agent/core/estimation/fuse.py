@@ -79,14 +79,18 @@ class Opinion(NamedTuple):
     random_m2: Symmetric = ZERO
 
 
-class Common(NamedTuple):
+class Shared(NamedTuple):
     """What all robots have wrong alike."""
 
     place_m2: Symmetric = ZERO  # covariance: frame of the tank, level of the water
     scale: float = 0.0  # standard deviation of the share by which all ranges are long
 
+    def scale_m2(self, lever_m: Vector) -> Symmetric:
+        """Covariance that the scale gives to a place with this lever, S^2 a a'."""
+        return times(self.scale * self.scale, outer(lever_m))
 
-NONE = Common()  # nothing
+
+NONE = Shared()  # nothing
 
 
 class Ballot(NamedTuple):
@@ -136,10 +140,9 @@ class Fused(NamedTuple):
     factors: dict[str, float]  # what counts of each origin's claim; 0: left out
     shares: dict[str, float]  # of each origin in the mean, by trace of information; sum 1
     sway_m: dict[str, float]  # of each in the group: from here to where the others would be without it
-    parts: Parts  # of those that agree, none of them doubted
 
 
-def fuse(opinions: Sequence[Opinion], common: Common = NONE, liars: int = 1) -> Fused | None:
+def fuse(opinions: Sequence[Opinion], shared: Shared = NONE, liars: int = 1) -> Fused | None:
     """Fuse opinions given in the order of their names; None without any.
 
     `liars`: how many may be wrong at once, 1 or 2; two are looked for where as many agree as PAIRS says.
@@ -150,37 +153,36 @@ def fuse(opinions: Sequence[Opinion], common: Common = NONE, liars: int = 1) -> 
     group = [opinion for opinion in opinions if opinion.origin in ballot.group]
     information, vector = _sum(map(_word, group))
     covariance = invert(information)
-    everybody = (apply(covariance, vector), covariance)
+    everybody = apply(covariance, vector), plus(covariance, _stretched(group, covariance, shared))
     singles = list(_leaving_one_out(group)) if len(group) >= DOUBTED else []
     doubt = _doubt(group, singles, liars)
-    certain, parts = 1.0 - doubt.strength, _parts(group, covariance, common)
-    x, covariance = everybody = everybody[0], plus(covariance, _stretched(group, covariance, common.scale))
+    x, covariance = everybody
     if doubt.ways:
-        x, covariance = mixture([(certain, *everybody), *_places(group, doubt, common.scale)])
+        x, covariance = mixture([(1.0 - doubt.strength, *everybody), *_places(group, doubt, shared)])
     factors = {opinion.origin: doubt.factor(opinion.origin) for opinion in group}
     sizes = {opinion.origin: factors[opinion.origin] * trace(opinion.precision) for opinion in group}
     total = math.fsum(sizes.values())
     return Fused(
         x,
-        plus(covariance, common.place_m2),
+        plus(covariance, shared.place_m2),
         ballot.verdict,
         ballot.votes,
         {opinion.origin: factors.get(opinion.origin, 0.0) for opinion in opinions},
         {name: size / total for name, size in sizes.items()},
         {name: math.dist(x, single.x_m) for single in singles for name in single.out},
-        parts,
     )
 
 
-def _places(group: Sequence[Opinion], doubt: Doubt, scale: float) -> Iterator[tuple[float, Vector, Symmetric]]:
+def _places(group: Sequence[Opinion], doubt: Doubt, shared: Shared) -> Iterator[tuple[float, Vector, Symmetric]]:
     """Where a group puts the target without those that may be wrong."""
     for p, way in doubt.ways:
         others = [opinion for opinion in group if opinion.origin not in way.out]
-        yield doubt.strength * p, way.x_m, plus(way.cov_m2, _stretched(others, way.cov_m2, scale))
+        yield doubt.strength * p, way.x_m, plus(way.cov_m2, _stretched(others, way.cov_m2, shared))
 
 
-def _stretched(group: Sequence[Opinion], covariance: Symmetric, scale: float) -> Symmetric:
+def _stretched(group: Sequence[Opinion], covariance: Symmetric, shared: Shared) -> Symmetric:
     """S^2 (g g' - sum W a a' W'): what one scale for all makes of the mean of a group, beyond what each has of it."""
+    scale = shared.scale
     if scale == 0.0:
         return ZERO
     g, apart = (0.0, 0.0, 0.0), ZERO
@@ -190,15 +192,17 @@ def _stretched(group: Sequence[Opinion], covariance: Symmetric, scale: float) ->
     return times(scale * scale, minus(outer(g), apart))
 
 
-def _parts(group: Sequence[Opinion], covariance: Symmetric, common: Common) -> Parts:
-    random_m2, scale2, g, apart_m2 = 0.0, common.scale * common.scale, (0.0, 0.0, 0.0), 0.0
+def parts(group: Sequence[Opinion], shared: Shared) -> Parts:
+    """Of what the covariance of those that agree is made, none of them doubted; there is at least one."""
+    covariance = invert(reduce(plus, (opinion.precision for opinion in group)))
+    random_m2, scale2, g, apart_m2 = 0.0, shared.scale * shared.scale, (0.0, 0.0, 0.0), 0.0
     for opinion in group:
         weight = product(square(covariance), square(opinion.precision))
         random_m2 += trace(symmetric_part(product(product(weight, square(opinion.random_m2)), transpose(weight))))
         moved = image(weight, opinion.lever_m)
         g, apart_m2 = add(g, 1.0, moved), apart_m2 + scale2 * inner(moved, moved)
     own_m2 = max(trace(covariance) - random_m2 - apart_m2, 0.0)
-    return Parts(random_m2, own_m2, scale2 * inner(g, g), trace(common.place_m2))
+    return Parts(random_m2, own_m2, scale2 * inner(g, g), trace(shared.place_m2))
 
 
 def mixture(places: Iterable[tuple[float, Vector, Symmetric]]) -> tuple[Vector, Symmetric]:
@@ -216,8 +220,8 @@ def mixture(places: Iterable[tuple[float, Vector, Symmetric]]) -> tuple[Vector, 
     return x, covariance
 
 
-def stretch(opinions: Sequence[Opinion], scale: float = 0.0) -> tuple[float, float] | None:
-    """By which share all ranges are long, x_j = x + eps a_j with the levers a_j, and its sigma, that of `scale` in it.
+def stretch(opinions: Sequence[Opinion], shared: Shared = NONE) -> tuple[float, float] | None:
+    """By which share all ranges are long, x_j = x + eps a_j with the levers a_j, and its sigma, the scale's in it.
 
     It is fitted with the place, and used for words alone: fused so, a robot would move the place by its lever. None
     for fewer than three, or where the levers do not tell it.
@@ -225,7 +229,7 @@ def stretch(opinions: Sequence[Opinion], scale: float = 0.0) -> tuple[float, flo
     if len(opinions) < DOUBTED:
         return None
     levers = [of.lever_m for of in opinions]
-    precisions = [_unstretched(of, scale) for of in opinions]
+    precisions = [_unstretched(of, shared) for of in opinions]
     covariance = invert(reduce(plus, precisions))
     _, vector = _sum((L, apply(L, of.x_m)) for L, of in zip(precisions, opinions, strict=True))
     _, pulled = _sum((L, apply(L, a)) for L, a in zip(precisions, levers, strict=True))
@@ -235,12 +239,12 @@ def stretch(opinions: Sequence[Opinion], scale: float = 0.0) -> tuple[float, flo
         return None
     off = [difference(of.x_m, x) for of in opinions]
     seen = math.fsum(inner(a, apply(L, e)) for L, a, e in zip(precisions, levers, off, strict=True))
-    return seen / known, math.sqrt(1.0 / known + scale * scale)
+    return seen / known, math.sqrt(1.0 / known + shared.scale * shared.scale)
 
 
-def _unstretched(of: Opinion, scale: float) -> Symmetric:
+def _unstretched(of: Opinion, shared: Shared) -> Symmetric:
     """Its precision without what the scale makes of its lever."""
-    return of.precision if scale == 0.0 else invert(minus(of.cov_m2, times(scale * scale, outer(of.lever_m))))
+    return of.precision if shared.scale == 0.0 else invert(minus(of.cov_m2, shared.scale_m2(of.lever_m)))
 
 
 # --- origins that stand out ---

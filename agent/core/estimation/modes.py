@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from agent.core.estimation.evidence_table import Bounds
-from agent.core.estimation.fuse import Common
+from agent.core.estimation.fuse import Shared
 from agent.core.estimation.interface import Bearing, Posterior, Prior
 from agent.core.estimation.motion import Innovation
 from agent.core.estimation.track import ROLLING, Dynamics
@@ -26,7 +26,7 @@ class Me(NamedTuple):
     neighbours: tuple[str, ...]
     bounds: Bounds
     max_entries: int  # in one message
-    common: Common  # what all robots have wrong alike
+    shared: Shared  # what all robots have wrong alike
     authority: Authority
     subject: tuple[str, str]  # fleet and target, as they are signed
     liars: int = 1  # robots that may be wrong at once

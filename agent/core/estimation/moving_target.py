@@ -79,8 +79,8 @@ class MovingTarget(Revertible):
         if isinstance(prior, Bearing):
             self._add_bearing(number, prior)
             return None
-        stretched = times(self._me.common.scale**2, outer(prior.lever_m))
-        covariance = plus(plus(floored(prior.random_m2), prior.systematic_m2), stretched)
+        scale_m2 = self._me.shared.scale_m2(prior.lever_m)
+        covariance = plus(plus(floored(prior.random_m2), prior.systematic_m2), scale_m2)
         information = inverse(covariance)
         if information is None:
             raise ValueError(f"covariance of the prior {covariance} is singular")
@@ -206,7 +206,7 @@ class MovingTarget(Revertible):
         if ballot.verdict == "ambiguous":
             alone = _posterior(self._mine) if valid and self._mine is not None else before
             return Conclusion(alone or posterior, "ambiguous", alpha, explain)
-        cov_m2 = plus(plus(posterior.cov_m2, _of_ways(track, fresh, shares)), self._me.common.place_m2)
+        cov_m2 = plus(plus(posterior.cov_m2, _of_ways(track, fresh, shares)), self._me.shared.place_m2)
         return Conclusion(posterior._replace(cov_m2=cov_m2), "track", alpha, explain)
 
     def _timed(self, fresh: dict[str, list[Held]]) -> dict[str, list[Held]]:

@@ -10,10 +10,10 @@ from collections.abc import Mapping, Sequence
 from agent.core.config import Fleet, Follow, Search, Target
 from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import Bounds
-from agent.core.estimation.fuse import NONE, Common
+from agent.core.estimation.fuse import NONE, Shared
 from agent.core.estimation.interface import EstimateCache, Estimator, Posterior, Prior, Update, Word
-from agent.core.estimation.track import ROLLING, Dynamics, outer, swimming
-from agent.core.linear_algebra import plus, times, trace
+from agent.core.estimation.track import ROLLING, Dynamics, swimming
+from agent.core.linear_algebra import plus, trace
 from agent.core.messages import Estimate, Explain, Symmetric, Vector
 from agent.core.step_transaction import Revertible
 from agent.core.trust import CachedMessage, Verify, verify_signature
@@ -31,12 +31,12 @@ def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Veri
     assert target in fleet.target
     validity_ns = round(fleet.estimation.validity_s * 1e9)
     neighbours = fleet.robot[me].neighbours
-    common = shared(fleet, target)
+    shared = shared_of(fleet, target)
     match fleet.estimation.protocol:
         case "paper":
-            return Paper(validity_ns, common)
+            return Paper(validity_ns, shared)
         case "metropolis":
-            return Metropolis(me, validity_ns, len(neighbours), fleet.estimation.clip, common)
+            return Metropolis(me, validity_ns, len(neighbours), fleet.estimation.clip, shared)
         case "evidence":
             bounds = Bounds(frozenset(fleet.robot), fleet.tank.size_m, iteration_ns(fleet, target))
             return Evidence(
@@ -45,7 +45,7 @@ def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Veri
                 neighbours,
                 validity_ns,
                 bounds,
-                common=common,
+                shared=shared,
                 liars=fleet.estimation.liars,
                 subject=(fleet.fleet, target),
                 verify=verify,
@@ -53,14 +53,14 @@ def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Veri
             )
 
 
-def shared(fleet: Fleet, target: str) -> Common:
+def shared_of(fleet: Fleet, target: str) -> Shared:
     """What all robots have wrong alike of where that target is, by the budget of the fleet file and by how well the
     radius of a ball is known."""
     budget, of = fleet.budget, fleet.target[target]
     by_size = of.radius_m is not None and fleet.ranging.cues != "focus"
     radius = of.radius_sigma_m / of.radius_m if by_size and of.radius_m else 0.0
     level, survey = budget.level_m**2, budget.survey_m**2
-    return Common((survey, 0.0, 0.0, survey, 0.0, level), math.hypot(budget.scale, radius))
+    return Shared((survey, 0.0, 0.0, survey, 0.0, level), math.hypot(budget.scale, radius))
 
 
 def iteration_ns(fleet: Fleet, target: str) -> int:
@@ -91,8 +91,8 @@ def dynamics(target: Target) -> Dynamics:
 class Means(Revertible):
     """A protocol whose robots tell their means: a mean has no origin that could sign it."""
 
-    def __init__(self, common: Common) -> None:
-        self._common = common
+    def __init__(self, shared: Shared) -> None:
+        self._shared = shared
         self._mean: Posterior | None = None  # without what all robots have wrong alike
         self.t = 0  # iterations
         self.valid = False
@@ -100,12 +100,11 @@ class Means(Revertible):
     @property
     def posterior(self) -> Posterior | None:
         mean = self._mean
-        return None if mean is None else mean._replace(cov_m2=plus(mean.cov_m2, self._common.place_m2))
+        return None if mean is None else mean._replace(cov_m2=plus(mean.cov_m2, self._shared.place_m2))
 
     def _stretched(self, prior: Prior) -> Prior:
         """A prior that has in its systematic error what the scale of all ranges makes of its lever."""
-        stretched = times(self._common.scale**2, outer(prior.lever_m))
-        return prior._replace(systematic_m2=plus(prior.systematic_m2, stretched))
+        return prior._replace(systematic_m2=plus(prior.systematic_m2, self._shared.scale_m2(prior.lever_m)))
 
     def by_others(self) -> Posterior | None:
         return None  # means have no origins
@@ -140,8 +139,8 @@ UNKNOWN: Symmetric = (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)  # 1 m: a neighbour that sta
 class Paper(Means):
     """State of one robot for one target."""
 
-    def __init__(self, validity_ns: int, common: Common = NONE) -> None:
-        super().__init__(common)
+    def __init__(self, validity_ns: int, shared: Shared = NONE) -> None:
+        super().__init__(shared)
         self._validity_ns = validity_ns
 
     def hear(self, letter: CachedMessage[Estimate]) -> tuple[str, ...]:
@@ -219,8 +218,8 @@ CLIP = 3.0  # sigma of the own samples' mean: honest neighbours share most of th
 class Metropolis(Means):
     """State of one robot for one target."""
 
-    def __init__(self, me: str, validity_ns: int, degree: int, clip: bool = False, common: Common = NONE) -> None:
-        super().__init__(common)
+    def __init__(self, me: str, validity_ns: int, degree: int, clip: bool = False, shared: Shared = NONE) -> None:
+        super().__init__(shared)
         self._me, self._validity_ns, self._degree, self._clip = me, validity_ns, degree, clip
         self._samples = 0
         self._traces_m2 = 0.0  # of their covariances, summed

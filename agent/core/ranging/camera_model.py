@@ -163,6 +163,11 @@ class Eye(NamedTuple):
     rotation: Rotation
     body_m: Vector
 
+    @property
+    def tilt_rad(self) -> float:
+        """How far the camera looks up; rounding may leave its sine a little beyond 1."""
+        return math.asin(max(-1.0, min(1.0, self.rotation[2][2])))
+
 
 def gimbal_deg(camera: CameraFit, body: Body, servos_us: tuple[float, float]) -> tuple[float, float]:
     """What the servos really do at these pulses: (pan, tilt), zero + gain * nominal angle."""

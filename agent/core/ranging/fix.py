@@ -68,12 +68,12 @@ def locate(
 
     Of what is in a box: the point of its surface behind the middle of the box. own: how well a robot that swims knows
     where it was then; None: it is moored. budget: of it counts what each robot has wrong for itself; what all have
-    alike, the ball's radius too, is for whoever puts their measurements together (protocols.shared).
+    alike, the ball's radius too, is added where their measurements are put together (protocols.shared_of).
 
     NoRange where the wanted cues have no range, or contradict each other.
     """
     axis = apply(eye.rotation, (0.0, 0.0, 1.0))
-    d = distance(calibration, outline, rho, sigma_rho, ball, cues, math.asin(max(-1.0, min(1.0, axis[2]))))
+    d = distance(calibration, outline, rho, sigma_rho, ball, cues, eye.tilt_rad)
     if isinstance(d, NoRange):
         return d
     camera = at_lens_position(calibration.camera, outline.lens_position)

@@ -23,7 +23,7 @@ from agent.capabilities.swim.plane_odometry import Moved, odometry
 from agent.capabilities.swim.pose_filter import FIRST, FIRST_LEARNT, STEP_NS, Drift, Hull, Wrench, motion
 from agent.capabilities.swim.projection import View, view
 from agent.capabilities.swim.tag_fix import Map, Priors, TagFix, first_fix, priors, tag_fix, whole
-from agent.core.linear_algebra import ZERO, wrap
+from agent.core.linear_algebra import ZERO, Rows, full, wrap
 from agent.core.messages import Symmetric, Vector
 from agent.core.ranging.fix import Fix
 from agent.core.step_io import Flow, SeenTags
@@ -155,26 +155,20 @@ class JointFilter:
         J[0, 2], J[1, 2] = y - seen.position_m[1], seen.position_m[0] - x
         if not self._biased[i]:
             self._biased[i] = True
-            self.P[bias : bias + 3, bias : bias + 3] = full(seen.systematic_m2) + J @ full(stays) @ J.T
+            self.P[bias : bias + 3, bias : bias + 3] = J @ full(stays) @ J.T + full(seen.systematic_m2)
         H = np.zeros((3, len(self.x)))
         H[:, k : k + 3] = -J
         H[:, bias : bias + 3] = H[:, end:] = np.eye(3)
         misses = np.array(seen.position_m) - self.x[end:] - self.x[bias : bias + 3]
         self._correct(H, misses, full(seen.random_m2))
 
-    def _correct(self, H: Array, misses: Sequence[float] | Array, R: Array) -> None:
+    def _correct(self, H: Array, misses: Sequence[float] | Array, R: Rows) -> None:
         S = H @ self.P @ H.T + R
         K = np.linalg.solve(S, H @ self.P).T
         self.x += K @ np.asarray(misses)
         rest = np.eye(len(self.x)) - K @ H
         self.P = rest @ self.P @ rest.T + K @ R @ K.T
         self.P = 0.5 * (self.P + self.P.T)
-
-
-def full(symmetric: Symmetric) -> Array:
-    """(3, 3) of xx xy xz yy yz zz."""
-    xx, xy, xz, yy, yz, zz = symmetric
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 # --- the filter over all that the robots of a run measured: fixes and odometry made anew, at its own estimates ---

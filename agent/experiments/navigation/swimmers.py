@@ -23,6 +23,7 @@ from agent.capabilities.swim.swim import swimmer_of
 from agent.capabilities.swim.swimmer import Swimmer
 from agent.core.codec import encode
 from agent.core.config import Fleet
+from agent.core.linear_algebra import full
 from agent.core.messages import Message, Vector
 from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, centre_behind_skin_m, pixel
 from agent.core.ranging.fix import CENTRE_NOISE_PX
@@ -282,11 +283,8 @@ class DrawnBall(DrawnTarget):
             )
         )
         self._camera, self._camera_m = camera, fleet.body.camera_m
-        xx, xy, xz, yy, yz, zz = FOCUS.covariance
-        covariance = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
-        self._lens = np.array([FOCUS.u_inf_m, FOCUS.b_m, FOCUS.rho0]) + self._rng.multivariate_normal(
-            np.zeros(3), covariance
-        )
+        off = self._rng.multivariate_normal(np.zeros(3), full(FOCUS.covariance))
+        self._lens = np.array([FOCUS.u_inf_m, FOCUS.b_m, FOCUS.rho0]) + off
         self.shown = 1.0  # of its outline, or it is not found
         self._shift, self._sweep = 0.0, 0
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.estimation.track import Dynamics, FixedLagFilter, Held, Track, predict, swimming
-from agent.core.linear_algebra import apply
+from agent.core.linear_algebra import apply, full
 from agent.core.target_state import bearing
 from agent.experiments.claim import Claim, Figure, Row, Rows, Value, rms
 from hw.twin.creatures import School
@@ -68,10 +68,9 @@ def judged(tracks: Sequence[Track], path_m: Array) -> tuple[float, float]:
     """Root mean square error, mm, and the mean of the normalised error squared; one track a place."""
     squares, normalised = [], []
     for track, place_m in zip(tracks, path_m, strict=True):
-        xx, xy, xz, yy, yz, zz = track.A
         error = np.array(track.x_m) - place_m
         squares.append(error @ error)
-        normalised.append(error @ np.linalg.solve(np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]), error))
+        normalised.append(error @ np.linalg.solve(full(track.A), error))
     return 1e3 * math.sqrt(np.mean(squares)), float(np.mean(normalised))
 
 

@@ -16,11 +16,13 @@ from agent.core.estimation.fuse import (
     LOW,
     TEMPER,
     Blocks,
-    Common,
     Opinion,
+    Shared,
     distances2,
     doubts,
     fuse,
+    parts,
+    stretch,
 )
 from agent.core.estimation.fuse import inverse as inverse_blocks
 from agent.core.estimation.track import begin, correct, predict
@@ -149,10 +151,10 @@ def test_close_opinions_give_the_weighted_least_squares_mean() -> None:
     assert math.fsum(fused.shares.values()) == pytest.approx(1.0)
 
 
-def test_the_common_error_is_added_and_cannot_be_averaged_away() -> None:
+def test_the_shared_error_is_added_and_cannot_be_averaged_away() -> None:
     place_m2 = (1e-6, 0.0, 0.0, 1e-6, 0.0, 4e-6)
     opinions = crowd(4, RNG)
-    assert np.subtract(fuse(opinions, Common(place_m2)).cov_m2, fuse(opinions).cov_m2) == pytest.approx(place_m2)
+    assert np.subtract(fuse(opinions, Shared(place_m2)).cov_m2, fuse(opinions).cov_m2) == pytest.approx(place_m2)
 
 
 SCALE, SPREADS = 0.01, {"around": 2.0 * math.pi, "one side": 0.7}
@@ -184,11 +186,27 @@ def test_one_scale_of_all_ranges_is_in_the_mean_as_in_matrices(where: str, n: in
     g = sum(w @ o.lever_m for w, o in zip(W, group, strict=True))
     own = [full(o.cov_m2) - SCALE**2 * outer(o.lever_m) for o in group]
     expected = sum(w @ r @ w.T for w, r in zip(W, own, strict=True)) + SCALE**2 * outer(g)
-    fused = fuse(group, Common(scale=SCALE))
+    fused = fuse(group, Shared(scale=SCALE))
     if all(factor == 1.0 for factor in fused.factors.values()):
         assert full(fused.cov_m2) == pytest.approx(expected, rel=1e-9, abs=1e-15)
     random_m2 = sum(np.trace(w @ r @ w.T) for w, r in zip(W, own, strict=True)) / 4.0
-    assert fused.parts == pytest.approx((random_m2, 3.0 * random_m2, SCALE**2 * float(g @ g), 0.0))
+    assert parts(group, Shared(scale=SCALE)) == pytest.approx(
+        (random_m2, 3.0 * random_m2, SCALE**2 * float(g @ g), 0.0)
+    )
+
+
+@pytest.mark.parametrize("n", [3, 15])
+def test_by_how_much_all_ranges_are_long_is_fitted_with_the_place_by_least_squares(n: int) -> None:
+    """By what each robot has for itself; the scale that robots allow for is added to the sigma."""
+    group = watchers(n, SPREADS["around"], np.random.default_rng(8), eps=0.03)
+    N, b = np.zeros((4, 4)), np.zeros(4)
+    for o in group:
+        D = np.column_stack([np.eye(3), o.lever_m])
+        weight = np.linalg.inv(full(o.cov_m2) - SCALE**2 * outer(o.lever_m))
+        N, b = N + D.T @ weight @ D, b + D.T @ weight @ o.x_m
+    eps, sigma = stretch(group, Shared(scale=SCALE))
+    assert eps == pytest.approx(np.linalg.solve(N, b)[3], rel=1e-6)
+    assert sigma == pytest.approx(math.sqrt(np.linalg.inv(N)[3, 3] + SCALE**2), rel=1e-6)
 
 
 @pytest.mark.parametrize("n", [3, 15])
@@ -198,7 +216,7 @@ def test_a_fleet_whose_ranges_are_all_long_says_so_in_its_sigma(where: str, n: i
     rng, nees, blind = np.random.default_rng(n), [], []
     for _ in range(300):
         eps = SCALE * rng.standard_normal()
-        fused = fuse(watchers(n, SPREADS[where], rng, eps=eps), Common(scale=SCALE))
+        fused = fuse(watchers(n, SPREADS[where], rng, eps=eps), Shared(scale=SCALE))
         unaware = fuse(watchers(n, SPREADS[where], rng, scale=0.0, eps=eps))
         for found, of in ((nees, fused), (blind, unaware)):
             error = np.subtract(of.x_m, (0.7, 0.5, 0.1))

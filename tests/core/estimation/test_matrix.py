@@ -6,15 +6,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.core import linear_algebra
-from agent.core.linear_algebra import upper
+from agent.core.linear_algebra import full, upper
 
 number = st.floats(-2.0, 2.0)
 square = st.lists(st.lists(number, min_size=3, max_size=3), min_size=3, max_size=3)
-
-
-def full(a):
-    xx, xy, xz, yy, yz, zz = a
-    return np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
 
 
 @given(square, st.tuples(number, number, number))
@@ -23,9 +18,10 @@ def test_products_and_inverse_are_those_of_numpy(rows, v) -> None:
     root = np.array(rows)
     a = root @ root.T + 0.1 * np.eye(3)
     ours = upper(a)
+    assert np.array(full(ours)) == pytest.approx(a, abs=1e-12)
     assert linear_algebra.apply(ours, v) == pytest.approx(a @ v, abs=1e-12)
     assert linear_algebra.quadratic(ours, v) == pytest.approx(v @ a @ v, abs=1e-11)
-    assert full(linear_algebra.inverse(ours)) == pytest.approx(np.linalg.inv(a), rel=1e-9, abs=1e-9)
+    assert np.array(full(linear_algebra.inverse(ours))) == pytest.approx(np.linalg.inv(a), rel=1e-9, abs=1e-9)
     assert linear_algebra.distance2(ours, v) == pytest.approx(v @ np.linalg.solve(a, v), rel=1e-9, abs=1e-9)
 
 

@@ -1,12 +1,17 @@
-"""`metropolis` against its closed form, and the three repairs."""
+"""`metropolis` against its closed form, and the three repairs; what all robots have wrong alike, in all protocols."""
 
 from random import Random
 
 import numpy as np
 import pytest
 
-from agent.core.estimation.interface import EstimateCache, Prior
-from agent.core.estimation.protocols import Metropolis
+from agent.core.estimation.evidence import Evidence
+from agent.core.estimation.evidence_table import Bounds
+from agent.core.estimation.fuse import Shared
+from agent.core.estimation.interface import NOTHING, EstimateCache, Prior
+from agent.core.estimation.protocols import Metropolis, Paper
+from agent.core.estimation.track import swimming
+from agent.core.linear_algebra import upper
 from agent.experiments.localization.lockstep import Swarm, graph, metropolis_weights
 from tests.sample_messages import estimate
 
@@ -101,3 +106,25 @@ def test_a_robot_that_never_saw_the_target_takes_what_it_is_told_with_the_clip_t
     box.put("r2", estimate(t=1, valid=True, x_m=(1.0, 0.0, 0.0), cov_m2=COV, degree=1), 0)
     robot.tick(None, box, 0)
     assert robot.posterior.x_m == (1.0, 0.0, 0.0)
+
+
+SHARED = Shared((1e-6, 0.0, 0.0, 1e-6, 0.0, 4e-6), scale=0.02)
+BOUNDS = Bounds(frozenset(("r1",)), (3.0, 2.0, 1.0), SECOND_NS)
+
+
+@pytest.mark.parametrize(
+    "robot",
+    [
+        Paper(SECOND_NS, SHARED),
+        Metropolis("r1", SECOND_NS, 0, shared=SHARED),
+        Evidence("r1", SECOND_NS, (), SECOND_NS, BOUNDS, shared=SHARED),
+        Evidence("r1", SECOND_NS, (), SECOND_NS, BOUNDS, shared=SHARED, dynamics=swimming(0.15, 3.0)),
+    ],
+    ids=["paper", "metropolis", "evidence at rest", "evidence moving"],
+)
+def test_a_place_is_as_unsure_as_the_scale_of_all_ranges_makes_its_lever(robot) -> None:
+    lever = np.array([0.5, -0.3, 0.1])
+    sample = Prior((1.0, 1.0, 0.5), COV, SECOND_NS, NOTHING, tuple(lever.tolist()))
+    robot.tick(sample, EstimateCache("tank", "r1", "ball", ()), SECOND_NS)
+    expected = np.add(COV, SHARED.place_m2) + upper(0.02**2 * np.outer(lever, lever))
+    assert robot.posterior.cov_m2 == pytest.approx(expected, rel=1e-9, abs=1e-12)

@@ -63,6 +63,12 @@ def test_a_point_on_the_left_is_left_in_the_image_and_a_high_one_is_up():
     assert u2 > u and v2 > v
 
 
+def test_a_level_body_s_camera_looks_up_by_its_tilt_and_one_upright_by_a_right_angle():
+    assert eye(tilt=-7.0, roll=0.0, pitch=0.0).tilt_rad == pytest.approx(math.radians(-7.0))
+    upright = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, math.nextafter(1.0, 2.0)))  # as products round
+    assert eye()._replace(rotation=upright).tilt_rad == math.pi / 2.0
+
+
 @pytest.mark.parametrize("angles", [(0.0, 0.0), (-60.0, 20.0), (44.4, -51.0)])
 def test_servo_pulses_invert_the_gimbal_angles(angles):
     back = gimbal_deg(CAMERA, BODY, servos_us(CAMERA, BODY, *angles))
