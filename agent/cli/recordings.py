@@ -81,14 +81,20 @@ def replay_check(
 
 @app.command("explain", epilog="Example: aucamp replay explain r1.mcap --at 16")
 def replay_explain(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="One robot's recording.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="One robot's recording; with --track a demo's folder.")],
     at: Annotated[str | None, typer.Option(help="Iteration 16, time 12.5s or step:812; the last if not given.")] = None,
+    track: Annotated[bool, typer.Option("--track", help="What each cause of a track's error was worth.")] = False,
 ) -> None:
     """Why a robot believed what it believed: whom it heard, with which weights."""
     from replay.check.explain import explain
     from replay.files.recover import auto_recovered
 
     (there,) = auto_recovered([file], complain)
+    if track:
+        from replay.report.creature_track import causes_table, track_causes
+
+        typer.echo(causes_table(track_causes(there)))
+        return
     typer.echo(explain(there, at))
 
 

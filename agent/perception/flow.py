@@ -30,12 +30,13 @@ Points = NDArray[np.float32]  # (n, 2) pixels of the full size
 Mask = NDArray[np.bool_]
 Box = tuple[tuple[float, float], tuple[float, float]]  # middle and size, pixels of the full size
 
-POINTS, QUALITY, APART_PX = 150, 0.01, 12.0
+CANDIDATES, POINTS, QUALITY, APART_PX = 600, 150, 0.002, 12.0
+CELLS = 6, 5  # across and down: points are spread, or a stone with a clear grain has them all
 WINDOW_PX = 15  # in either size
 COARSE_LEVELS, FINE_LEVELS = 3, 1  # of pyramids above half and full size: 48 and 6 px from where one begins to look
 STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 10, 0.03)
 AGREE_PX = 2.0  # between the two sizes; what slid to another point does not
-MOST = 64  # pairs in a message, the clearest points first
+MOST = 64  # pairs in a message, those that `_spread` has first
 KEPT, OLDEST_NS = 0.6, 4_000_000_000  # a new key frame where fewer of the points are left, or it is older
 STILL_PX = 4.0  # from frame to frame: a robot that holds turns by less than 2 degrees a second
 # After a turn: longer than a servo may still be on its way by the gimbal's commanded history (`GimbalHistory`), for the
@@ -47,7 +48,7 @@ class KeyFrame(NamedTuple):
     t_ns: int  # middle of its exposure
     full: Plane
     half: Plane
-    points_px: Points  # clearest first
+    points_px: Points  # of each part of the picture the clearest first
     slopes: Array  # (n, 2)
 
 
@@ -98,12 +99,21 @@ def begin(image: Image, camera: CameraFit, t_ns: int, around: Sequence[Box] = ()
             max(0, round(0.5 * edge)) for edge in (x - width / 2, x + width / 2, y - height / 2, y + height / 2)
         )
         free[top : bottom + 1, left : right + 1] = 0
-    corners = cv2.goodFeaturesToTrack(half, POINTS, QUALITY, 0.5 * APART_PX, mask=free)
-    found = (
-        np.zeros((0, 2), np.float32) if corners is None else _from_half(np.asarray(corners, np.float32).reshape(-1, 2))
-    )
+    corners = cv2.goodFeaturesToTrack(half, CANDIDATES, QUALITY, 0.5 * APART_PX, mask=free)
+    clearest = np.zeros((0, 2), np.float32) if corners is None else np.asarray(corners, np.float32).reshape(-1, 2)
+    found = _from_half(clearest[_spread(clearest, half.shape)][:POINTS])
     key = KeyFrame(t_ns, full, half, found, to_slopes(camera, found.astype(np.float64)))
     return Tracked(key, t_ns, found, np.ones(len(found), bool), moved_ns)
+
+
+def _spread(points: Points, shape: tuple[int, ...]) -> NDArray[np.intp]:
+    """The order of points in which each cell of the picture gives its next one in turn."""
+    cells = (points * CELLS // (shape[1], shape[0])).astype(int) @ (1, CELLS[0])
+    by_cell = np.argsort(cells, kind="stable")
+    begins = np.searchsorted(cells[by_cell], cells[by_cell])
+    turn = np.empty(len(points), int)
+    turn[by_cell] = np.arange(len(points)) - begins
+    return np.argsort(turn, kind="stable")
 
 
 def follow(tracked: Tracked, image: Image, t_ns: int) -> Tracked:

@@ -11,7 +11,7 @@ import csv
 import math
 from bisect import bisect_right
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
@@ -20,15 +20,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.codec import decode
-from agent.core.config import ConfigError, Fleet
+from agent.core.config import ConfigError, Fleet, Pose
+from agent.core.estimation.protocols import dynamics
+from agent.core.estimation.track import FixedLagFilter, square
+from agent.core.estimation.track import Held as Sample
 from agent.core.messages import Symmetric, Vector
+from agent.core.ranging.camera_model import apply, at_lens_position, camera_pose, pixel, to_camera
 from agent.core.status import sigma_m
-from agent.core.step_io import Inputs, Outputs
+from agent.core.step_io import Inputs, Outputs, Sighting
 from agent.core.topics import NEAR
-from replay.check.reexecute import STEP_BYTES, BlackBox
+from replay.check.reexecute import STEP_BYTES, BlackBox, open_boxes
 from replay.report.page import Table, cell, percent
 
-CREATURES, BOXES = "creatures.csv", "boxes.csv"  # as the twin leaves them
+CREATURES, BOXES, PATHS = "creatures.csv", "boxes.csv", "paths.csv"  # as the twin leaves them
 FRESH_NS = 300_000_000  # a newest frame that is older shows nothing of now: three of ten a second
 EVERY_NS = 100_000_000  # from one moment to the next at which it is asked who sees
 BESIDE = 0.25  # of the true box's sides: where the middle of what was found may lie beyond it
@@ -62,17 +66,17 @@ class Held(NamedTuple):
 
 
 class Path3(NamedTuple):
-    """A path: times, ns, and places (n, 3)."""
+    """A path: times, ns, and what is there (n, k): places."""
 
     t_ns: NDArray[np.int64]
     x_m: Array
 
     def at(self, t_ns: Sequence[int] | NDArray[np.int64]) -> Array:
-        """(n, 3) between its points; NaN beyond its ends."""
+        """(m, k) between its points; NaN beyond its ends."""
         t = np.asarray(t_ns, np.int64)
         base = self.t_ns[0]
         rel, own = (t - base).astype(float), (self.t_ns - base).astype(float)
-        return np.column_stack([np.interp(rel, own, self.x_m[:, k], left=math.nan, right=math.nan) for k in range(3)])
+        return np.column_stack([np.interp(rel, own, way, left=math.nan, right=math.nan) for way in self.x_m.T])
 
 
 class CreatureTrack(NamedTuple):
@@ -316,3 +320,175 @@ def _believed(track: CreatureTrack, name: str, from_ns: int, until_ns: int) -> s
     off_mm = 1e3 * float(np.linalg.norm(np.array(last.x_m) - track.truth.at([last.t_ns])[0]))
     sigma_mm = 1e3 * sigma_m(last.cov_m2)
     return f"{words}; {off_mm:.0f} mm off, says ± {sigma_mm:.0f}"
+
+
+# --- causes ---
+# What each cause of a track's error was worth: the bearings that robots said, with what was wrong in them taken out.
+#
+# All go into one filter, with the fleet's own dynamics and without its vote, in the order in which they were said or,
+# without latency, as they were exposed. Two things are wrong in a bearing: where in the picture the middle of the body
+# was taken to be, which the twin's truth of body and camera tells; and where the robot took its camera to be and look.
+
+SETTLES_NS = 5_000_000_000  # after the first bearing a track ought to be good
+LAG_NS = 1_000_000_000  # longer no bearing is on its way
+
+
+class Cause(NamedTuple):
+    """A track, and its error, rms in mm, and NEES, from SETTLES_NS on and from the first bearing on."""
+
+    track: str
+    settled: tuple[float, float]
+    whole: tuple[float, float]
+
+
+class Said(NamedTuple):
+    """A bearing as a robot said it; vectors (3,) are information times a place, as in messages."""
+
+    exposed_ns: int
+    said_ns: int
+    information: Array  # (3, 3)
+    vector: Array
+    by_picture: Array  # what of the vector comes of the picture's error
+    exact: Array  # the vector of a bearing without any
+
+
+def track_causes(folder: Path) -> list[Cause]:
+    """Of the first target that swims in a run whose twin left the truth beside it. Raises ConfigError without one."""
+    boxes = open_boxes([folder])
+    fleet = boxes[0].fleet
+    target = next((name for name, about in fleet.target.items() if about.speed_m_s is not None), None)
+    if target is None:
+        raise ConfigError(f"{folder}: nothing swims; --track is about a target with speed_m_s")
+    track = creature_track(folder, boxes, target)
+    if track is None or not (folder / PATHS).is_file():
+        raise ConfigError(
+            f"{folder}: {CREATURES} or {PATHS} is missing; give the folder of a demo, whose twin left them"
+        )
+    ways = _true_ways(folder)
+    said = [bearing for box in boxes for bearing in _said(box, target, track.truth, ways[box.robot])]
+    if not said:
+        raise ConfigError(f"{folder}: no robot said a bearing of {target}")
+    moves, first_ns = dynamics(fleet.target[target]), min(bearing.exposed_ns for bearing in said)
+    moments = sorted({held.t_ns for rows in track.held.values() for held in rows if held.t_ns > first_ns})
+
+    def filtered(vector: Callable[[Said], Array], at_once: bool = False) -> list[Belief]:
+        bearings = [(one.exposed_ns if at_once else one.said_ns, _as_held(one, vector(one))) for one in said]
+        return _filtered(bearings, FixedLagFilter(moves, fleet.tank.size_m), moments)
+
+    believed = [(held.t_ns, held.x_m, held.cov_m2) for rows in track.held.values() for held in rows]
+    tracks: dict[str, list[Belief]] = {
+        "as the robots believed it": believed,
+        "all bearings in one filter": filtered(lambda one: one.vector),
+        "the same without latency": filtered(lambda one: one.vector, at_once=True),
+        "with the true middle in each picture": filtered(lambda one: one.vector - one.by_picture),
+        "with the true place and way of each camera": filtered(lambda one: one.exact + one.by_picture),
+        "with both": filtered(lambda one: one.exact),
+        "with both, without latency": filtered(lambda one: one.exact, at_once=True),
+    }
+    return [
+        Cause(
+            name,
+            *(
+                _error([b for b in beliefs if b[0] >= from_ns], track.truth)
+                for from_ns in (first_ns + SETTLES_NS, first_ns)
+            ),
+        )
+        for name, beliefs in tracks.items()
+    ]
+
+
+Belief = tuple[int, Vector, Symmetric]  # when, where, and its covariance
+
+
+def _true_ways(folder: Path) -> dict[str, Path3]:
+    """Of each robot: x, y, z (m), roll, pitch, yaw, pan and tilt (degrees), (n, 8)."""
+    columns = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg", "pan_deg", "tilt_deg")
+    rows: dict[str, list[tuple[int, list[float]]]] = {}
+    with _reading(folder / PATHS), (folder / PATHS).open(encoding="utf-8", newline="") as lines:
+        for line in csv.DictReader(lines):
+            place = [_finite(line[column]) for column in columns]
+            rows.setdefault(line["robot"], []).append((int(line["t_ns"]), place))
+    ways = {}
+    for robot, way in rows.items():
+        places = np.array([place for _, place in way])
+        places[:, 3:] = np.degrees(np.unwrap(np.radians(places[:, 3:]), axis=0))
+        ways[robot] = Path3(np.array([t_ns for t_ns, _ in way], np.int64), places)
+    return ways
+
+
+def _said(box: BlackBox, target: str, truth: Path3, way: Path3) -> Iterator[Said]:
+    """Each bearing of the robot's own, when it said it first."""
+    frames: dict[int, Sighting] = {}
+    told: set[int] = set()
+    for step in box.steps():
+        seen = decode(step.inputs, Inputs, limit=STEP_BYTES).sightings
+        frames |= {one.t_ns: one for one in seen if one.target == target and one.found}
+        says = () if step.outputs is None else decode(step.outputs, Outputs, limit=STEP_BYTES).says
+        for sample in (one for word in says if word.target == target and word.gossip for one in word.gossip.samples):
+            frame = frames.get(sample.t_ns)
+            if sample.origin != box.robot or sample.number in told or frame is None:
+                continue
+            told.add(sample.number)
+            there, pose = truth.at([sample.t_ns])[0], way.at([sample.t_ns])[0]
+            aside_m = _aside_m(box, frame, there, pose)
+            if aside_m is not None:
+                L = np.array(square(sample.information)).reshape(3, 3)
+                yield Said(sample.t_ns, step.now_ns, L, np.array(sample.vector), L @ aside_m, L @ there)
+
+
+def _aside_m(box: BlackBox, frame: Sighting, there: Array, pose: Array) -> Array | None:
+    """(3,) by how much, m, what was found in the picture is beside the body's middle; None where nobody knows."""
+    if frame.centre_px is None or not (np.isfinite(there).all() and np.isfinite(pose).all()):
+        return None
+    x, y, z, roll, pitch, yaw, pan, tilt = pose.tolist()
+    surface_m, camera = box.fleet.tank.surface_m, at_lens_position(box.calibration.camera, frame.focus)
+    place = Pose(x_m=x, y_m=y, yaw_deg=yaw)
+    eye = camera_pose(place, box.fleet.body, surface_m - z, roll, pitch, pan, tilt, surface_m)
+    at_m = to_camera(eye, there.tolist())
+    middle_px = pixel(camera, at_m)
+    if middle_px is None:
+        return None
+    u, v = (at_m[2] * (found - true) / camera.f_px for found, true in zip(frame.centre_px, middle_px, strict=True))
+    return np.array(apply(eye.rotation, (u, v, 0.0)))
+
+
+def _as_held(of: Said, vector: Array) -> Sample:
+    L, (x, y, z) = of.information, vector.tolist()
+    return Sample(of.exposed_ns, (L[0, 0], L[0, 1], L[0, 2], L[1, 1], L[1, 2], L[2, 2]), (x, y, z))
+
+
+def _filtered(bearings: list[tuple[int, Sample]], through: FixedLagFilter, moments: Sequence[int]) -> list[Belief]:
+    """What a filter believes at each of these moments, of bearings that it gets when they are due."""
+    coming, window, frozen_ns = sorted(bearings, key=lambda one: one[0]), list[Sample](), 0
+    found: list[Belief] = []
+    k = 0
+    for now_ns in moments:
+        while k < len(coming) and coming[k][0] <= now_ns:
+            window.append(coming[k][1])
+            k += 1
+        window = [sample for sample in window if sample.t_ns > frozen_ns]
+        track = through.run(window, now_ns - LAG_NS, now_ns)
+        frozen_ns = now_ns - LAG_NS
+        if track is not None:
+            found.append((now_ns, track.x_m, track.A))
+    return found
+
+
+def _error(beliefs: Sequence[Belief], truth: Path3) -> tuple[float, float]:
+    """Rms of the distance from the truth, mm, and mean of its square in the stated covariance."""
+    off = np.array([x_m for _, x_m, _ in beliefs]).reshape(-1, 3) - truth.at([t_ns for t_ns, _, _ in beliefs])
+    known = np.isfinite(off).all(axis=1)
+    if not known.any():
+        return math.nan, math.nan
+    covariances = np.array([square(cov_m2) for _, _, cov_m2 in beliefs]).reshape(-1, 3, 3)
+    nees = np.einsum("ni,ni->n", off[known], np.linalg.solve(covariances[known], off[known][..., None])[..., 0])
+    return 1e3 * math.sqrt(float((off[known] ** 2).sum(axis=1).mean())), float(nees.mean())
+
+
+def causes_table(causes: Sequence[Cause]) -> str:
+    """For people."""
+    head = f"{'':44}{'from 5 s on':>18}{'whole dive':>18}\n{'track':44}" + f"{'rms, mm':>10}{'NEES':>8}" * 2
+    rows = (
+        f"{one.track:44}" + "".join(f"{mm:10.1f}{nees:8.2f}" for mm, nees in (one.settled, one.whole)) for one in causes
+    )
+    return "\n".join([head, *rows])

@@ -25,7 +25,6 @@ from agent.core.estimation.track import Dynamics, growth
 from agent.core.messages import Symmetric, Vector
 from agent.core.ranging.camera_model import Calibration, CameraFit, camera_pose, look_at
 from agent.core.ranging.fix import NEAREST_M, Outline, sight_line
-from agent.core.ranging.focus import lens_position
 from agent.core.ranging.pointing import SERVO_LAG_S
 from agent.core.ranging.search_pattern import rows_deg
 from agent.core.step_io import Sighting
@@ -267,7 +266,7 @@ class Pursuit(Revertible):
         pan, tilt = look_at(at_m, pose, body, *level, surface_m)
         eye_m = camera_pose(pose, body, *level, pan, tilt, surface_m).position_m
         far_m = max(math.dist(at_m, eye_m), NEAREST_M)
-        self._lens = round(lens_position(self._calibration.focus, far_m))
+        self._lens = None
         return CameraAct((pan, tilt + self._beside_deg((pan, tilt), far_m, situation)), "track", name)
 
     def _beside_deg(self, way_deg: tuple[float, float], far_m: float, situation: Situation) -> float:
