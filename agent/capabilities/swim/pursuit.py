@@ -11,8 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from msgspec import UNSET, UnsetType
-
 from agent.capabilities.swim.landmark_look import half_picture_deg
 from agent.capabilities.swim.swimmer import Swimmer, pose_of
 from agent.capabilities.swim.tag_fix import TURNING_DEG
@@ -160,7 +158,6 @@ class Scan(Revertible):
 
 # --- bearings, and where the camera looks ---
 
-STEP = 0.25  # of the peak's half width: a blur by less is not worth the frames in which the lens moves
 ALL_LOST_NS = 600_000_000  # three iterations in which no robot saw it
 HIDDEN_S, HIDDEN_M = 0.3, 1.4  # after it is lost; farther away it may just not be made out
 # Samples of one robot that a track of what swims remembers: (R dt / q)^(1/4) is about dt at 10 to 20 cm/s. What is
@@ -187,8 +184,6 @@ class Pursuit(Revertible):
         self._gimbal_track, self._scan = GimbalTrack(share), Scan(share)
         self._newest: Sighting | None = None  # that showed the target since the last iteration
         self._aside_deg = 0.0  # by which the camera looks above the target
-        self._lens: int | None = None  # where it is sharp; None: where landmarks are
-        self._told: int | None = None  # the lens
 
     def see(self, sightings: Sequence[Sighting]) -> None:
         for sighting in sightings:
@@ -250,11 +245,9 @@ class Pursuit(Revertible):
         if name != self._swimmer.pursues or situation.camera.measuring:
             return None
         if here is None or level is None or not self.goes_with(situation):
-            self._lens = None
             return None
         body, surface_m = self._fleet.body, self._fleet.tank.surface_m
         if of.believed is None or self._swimmer.search is not None:
-            self._lens = None
             rests = self._gimbal_track.sees(now_ns)
             way_deg = self._scan.way_deg(self._calibration.camera, body, level.depth_m, surface_m, rests, now_ns)
             return CameraAct(way_deg, "track", name)
@@ -266,7 +259,6 @@ class Pursuit(Revertible):
         pan, tilt = look_at(at_m, pose, body, *level, surface_m)
         eye_m = camera_pose(pose, body, *level, pan, tilt, surface_m).position_m
         far_m = max(math.dist(at_m, eye_m), NEAREST_M)
-        self._lens = None
         return CameraAct((pan, tilt + self._beside_deg((pan, tilt), far_m, situation)), "track", name)
 
     def _beside_deg(self, way_deg: tuple[float, float], far_m: float, situation: Situation) -> float:
@@ -300,15 +292,6 @@ class Pursuit(Revertible):
         swing = self._gimbal_track.swing(half * sigma_deg, now_ns)
         x, y, z = (at + (middle + half * swing) * way for at, way in zip(at_m, step_m, strict=True))
         return x, y, z
-
-    def lens(self) -> int | UnsetType | None:
-        """Where the lens shall be between sweeps, when that has changed by enough."""
-        before, wanted = self._told, self._lens if self._swimmer.pursues is not None else None
-        near = STEP * self._calibration.focus.width
-        if wanted == before or (wanted is not None and before is not None and abs(wanted - before) < near):
-            return UNSET
-        self._told = wanted
-        return wanted
 
 
 def carried_on(believed: Posterior, moves: Dynamics, t_ns: int) -> Vector:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any, ClassVar
 
-from msgspec import UnsetType
 from msgspec.structs import replace
 
 from agent.capabilities.swim.deconfliction import Neighbours
@@ -151,9 +150,6 @@ class Swim(Capability, PoseSource):
 
     def faults(self, now_ns: int) -> tuple[str, ...]:
         return self.swimmer.faults(now_ns)
-
-    def lens(self) -> int | UnsetType | None:
-        return self.pursuit.lens()
 
     # --- where it was -----------------------------------------------------------------------------------------
 
