@@ -131,7 +131,7 @@ def _figures(case: str) -> tuple[Figure, ...]:
         words = {
             "seen_by_one": "seen by one at least, share of the time",
             "seen_by_two": "by two",
-            "seen_each": "by the one that sees it least",
+            "seen_least": "by the one that sees it least",
             "track_rms_mm": "off its track, rms",
             "nees": "its error as robots say: NEES",
         }

@@ -217,13 +217,14 @@ class DrawnFish(DrawnTarget):
 # --- dive ---
 
 FIND_S, WATCH_S = 20.0, 30.0
-COVERED_S = 10.0, 15.0  # of the watch
+SETTLES_S = 5.0  # after the first robot has seen it, what they believe ought to be good
+COVERED_S = 10.0, 15.0  # of WATCH_S
 FRESH_NS = 250_000_000  # a track of so long ago still says how well it is known
 STEPS_S = 20.0
 
 
 class Draw(NamedTuple):
-    """n frames of k robots, from the beginning; `watched` is the first frame that counts."""
+    """n frames of k robots, from the beginning."""
 
     t_s: Array  # (n,)
     sees: NDArray[np.bool_]  # (n, k): whether each robot's frame shows it
@@ -233,12 +234,14 @@ class Draw(NamedTuple):
     landmarks: NDArray[np.bool_]  # (n, k): its camera is turned to landmarks
     error_m: Array  # (n, k): of where each robot believes it to be now; nan: it does not know
     nees: Array  # (n, k): squared error by its own covariance, 3 where that is right; nan: no track of that time
-    watched: int
+    first: int  # frame in which a robot sees it; n: none ever does
+    watched: int  # first frame that counts
     least_m: float  # of any two robots
 
 
 def dive(case: Case, speed_m_s: float, seed: int, watch_s: float = WATCH_S) -> Draw:
-    """Search for FIND_S, then follow for watch_s; at 10 frames a second. Raises Failed where a firmware hangs."""
+    """FIND_S and watch_s, at 10 frames a second; what counts begins FIND_S after the start at the latest. Raises Failed
+    where a firmware hangs."""
     fleet, pillars = fleet_of(speed_m_s, seed), weeds(seed)
     names, rng = list(fleet.robot), generator(seed, "follow")
     rng.uniform()  # drawn for where they begin
@@ -262,8 +265,10 @@ def dive(case: Case, speed_m_s: float, seed: int, watch_s: float = WATCH_S) -> D
     cells = np.array(rows)
     sees, in_sight, in_reach, covered, landmarks = np.moveaxis(cells[:, :, :5].astype(bool), 2, 0)
     error_m, nees = np.moveaxis(cells[:, :, 5:], 2, 0)
-    watched = int(np.searchsorted(t_s, FIND_S, side="right"))
-    return Draw(t_s, sees, in_sight, in_reach, covered, landmarks, error_m, nees, watched, least_m)
+    seen = np.flatnonzero(sees.any(axis=1))
+    first = int(seen[0]) if len(seen) else len(t_s)
+    watched = min(first + round(SETTLES_S * STEPS_S / FRAME_STEPS), round(FIND_S * STEPS_S / FRAME_STEPS))
+    return Draw(t_s, sees, in_sight, in_reach, covered, landmarks, error_m, nees, first, watched, least_m)
 
 
 def row(swimmers: Swimmers, fleet: Fleet, target_m: Vector, pillars: tuple[Pillar, ...]) -> list[Array]:

@@ -35,6 +35,7 @@ from replay.report.page import Table, cell, percent
 CREATURES, BOXES, PATHS = "creatures.csv", "boxes.csv", "paths.csv"  # as the twin leaves them
 FRESH_NS = 300_000_000  # a newest frame that is older shows nothing of now: three of ten a second
 EVERY_NS = 100_000_000  # from one moment to the next at which it is asked who sees
+SETTLES_NS = 5_000_000_000  # after the first robot has found it a track ought to be good
 BESIDE = 0.25  # of the true box's sides: where the middle of what was found may lie beyond it
 
 Array = NDArray[np.float64]
@@ -92,6 +93,11 @@ class CreatureTrack(NamedTuple):
         """Since when all robots know of it; None: one never did."""
         firsts = [rows[0].t_ns if rows else None for rows in self.held.values()]
         return None if not firsts or None in firsts else max(t for t in firsts if t is not None)
+
+    @property
+    def first_ns(self) -> int | None:
+        """When the first robot found it where it is; None: none ever did."""
+        return min((look.t_ns for rows in self.looks.values() for look in rows if look.right), default=None)
 
     @property
     def begins_ns(self) -> int:
@@ -329,7 +335,6 @@ def _believed(track: CreatureTrack, name: str, from_ns: int, until_ns: int) -> s
 # without latency, as they were exposed. Two things are wrong in a bearing: where in the picture the middle of the body
 # was taken to be, which the twin's truth of body and camera tells; and where the robot took its camera to be and look.
 
-SETTLES_NS = 5_000_000_000  # after the first bearing a track ought to be good
 LAG_NS = 1_000_000_000  # longer no bearing is on its way
 
 

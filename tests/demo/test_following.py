@@ -15,19 +15,22 @@ FLEET = replace(FISH, robot={name: FISH.robot[name] for name in ("r1", "r2")})
 
 def test_shares_of_time_errors_and_losses_are_those_of_the_track():
     row = score_following(swum(), FLEET, "fish")
-    assert row["followed_s"] == pytest.approx(40.0)
+    assert row["followed_s"] == pytest.approx(35.0), "from 5 s after the first robot saw it"
     assert row["seen_by_one"] == 1.0
-    assert row["seen_each"] == row["seen_by_two"] == pytest.approx(1 - 20 / 401)
+    assert row["seen_least"] == row["seen_by_two"] == pytest.approx(1 - 20 / 351)
+    assert row["seen_mean"] == pytest.approx(1 - 10 / 351)
+    assert row["whole"]["followed_s"] == pytest.approx(40.0)
+    assert row["whole"]["seen_least"] == pytest.approx(1 - 20 / 401)
     assert row["agents"]["r1"]["times_lost"] == 0 and row["agents"]["r2"]["times_lost"] == 1
     assert row["agents"]["r2"]["longest_unseen_s"] == pytest.approx(2.0)
     assert row["track_rms_mm"] == pytest.approx(1e3 * OFF_M)
     assert row["nees"] == pytest.approx((OFF_M / SIGMA_M) ** 2)
     assert row["bars"] == {
         "seen_by_one": True,
-        "seen_by_two": True,
-        "seen_each": True,
+        "seen_by_two": False,
+        "seen_least": True,
         "track_rms_mm": False,
-        "nees": False,
+        "nees": True,
     }
     assert reasons_following(row) == []
 
@@ -44,7 +47,7 @@ def test_who_is_surer_than_right_farther_off_than_its_length_or_blind_fails():
     far = [h._replace(x_m=(h.x_m[0] + 0.2, *h.x_m[1:])) for h in track.held["r2"]]
     why = reasons_following(score_following(track._replace(held={**track.held, "r2": far}), FLEET, "fish"))
     assert [text.partition(":")[0].partition(" ")[0] for text in why] == ["each", "r2", "r2"]
-    assert "37.7 % of the time < 50 %" in why[0]
+    assert "43.0 % of the time < 50 %" in why[0]
     assert "230 mm rms, more than the creature's length, 150" in why[1]
     assert "surer than right" in why[2]
 

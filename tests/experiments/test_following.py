@@ -29,6 +29,7 @@ def drawn(**other) -> Draw:
         landmarks=never.copy(),
         error_m=np.full((N, 3), 0.010),
         nees=np.full((N, 3), 3.0),
+        first=0,
         watched=WATCHED,
         least_m=0.7,
     )
@@ -44,7 +45,10 @@ def test_shares_leave_out_what_a_covered_camera_would_have_seen() -> None:
     draw.sees[40:60, 0] = False
     draw.covered[40:60, 0] = True
     draw.sees[60:68, 1:] = False
+    draw.error_m[:WATCHED] = 0.1
     found = figures(draw)
+    assert found["least"] == pytest.approx(90.0), "of robot 2 and 3"
+    assert found["rms_mm"] == pytest.approx(10.0) and found["whole_rms_mm"] > 40.0
     assert [found[key] for key in ("by_one", "by_two", "each")] == pytest.approx([100.0, 90.0, 100.0 * (1 - 16 / 220)])
 
 
