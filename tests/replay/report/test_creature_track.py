@@ -1,17 +1,22 @@
 """A creature's truth beside a run, what its robots saw of it, and what the report makes of both."""
 
+import math
 from pathlib import Path
 
 import msgspec
 import pytest
 
 from agent.core.codec import encode
-from agent.core.messages import Estimate, Explain
+from agent.core.config import ConfigError, Pose
+from agent.core.linear_algebra import apply as times_vector
+from agent.core.messages import Epoch, Estimate, Explain, Gossip, Sample
+from agent.core.ranging.camera_model import at_lens_position, camera_pose, pixel, to_camera
+from agent.core.ranging.fix import EXACT, Outline, sight_line
 from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 from replay.check.reexecute import open_box
-from replay.report.creature_track import creature_track, lost_table, true_path
+from replay.report.creature_track import causes_table, creature_track, lost_table, track_causes, true_path
 from replay.report.figures import made_of, seen_when, track_above
 from tests.replay.small_box import CALIBRATION, state
 from tests.replay.step_box import StepBox
@@ -71,6 +76,87 @@ def test_each_loss_is_told_with_why_and_whose_word_was_believed() -> None:
         assert row[:3] == ["r2", "10.0", "2.0"]
         assert row[3].startswith(f"{why} (20 of ") and row[4] == "r1"
         assert row[5] == "r1 75 % r2 25 %; 30 mm off, says ± 35"
+
+
+ROBOTS = {"r1": (0.6, 0.6, 30.0), "r2": (2.0, 0.6, 120.0)}  # x, y and yaw, degrees
+PICTURE_PX, YAW_DEG = 20.0, 1.0  # by which every frame and every robot is wrong
+STEP_NS, FRAMES = 100_000_000, 80
+
+
+def fish_m(t_ns: int) -> tuple[float, float, float]:
+    return 1.2 + 5e-11 * t_ns, 1.1, 0.25
+
+
+def swim_wrongly(folder: Path) -> None:
+    """Two robots that say bearings, 50 ms after each frame, and the truth."""
+    body, surface_m = FLEET.body, FLEET.tank.surface_m
+    for name, (x, y, yaw_deg) in ROBOTS.items():
+        with StepBox(folder / f"{name}.mcap", FLEET, name, CALIBRATION, 1) as box:
+            for k in range(1, FRAMES):
+                t_ns = k * STEP_NS
+                pans = [yaw_deg - math.degrees(math.atan2(fish_m(t_ns)[1] - y, fish_m(t_ns)[0] - x))]
+                eyes = [
+                    camera_pose(Pose(x_m=x, y_m=y, yaw_deg=yaw), body, 0.2, 0.0, 0.0, -pans[0], 0.0, surface_m)
+                    for yaw in (yaw_deg, yaw_deg + YAW_DEG)
+                ]
+                camera = at_lens_position(CALIBRATION.camera, 300)
+                u, v = pixel(camera, to_camera(eyes[0], fish_m(t_ns)))
+                found = (u + PICTURE_PX, v)
+                frame = Sighting(
+                    t_ns=t_ns, frame=k, target="fish", found=True, centre_px=found, size_px=(90.0, 40.0), focus=300
+                )
+                outline = Outline(found, None, 1.0, 300, (90.0, 40.0))
+                fish, size_m = FLEET.target["fish"], FLEET.tank.size_m
+                line = sight_line(
+                    CALIBRATION.camera, eyes[1], outline, fish, EXACT, 0.003, fish_m(t_ns), t_ns, size_m, sized=False
+                )
+                vector = times_vector(line.information, line.x_m)
+                gossip = Gossip(Epoch(), samples=(Sample(name, 1, k, 0, line.information, vector, t_ns),))
+                said = Estimate(
+                    fleet="fish",
+                    src=name,
+                    dst="r3",
+                    incarnation=1,
+                    seq=k,
+                    sent_ns=t_ns,
+                    target="fish",
+                    t=k,
+                    valid=True,
+                    x_m=fish_m(t_ns),
+                    cov_m2=(1e-4, 0, 0, 1e-4, 0, 1e-4),
+                    gossip=gossip,
+                )
+                spoken = Outputs(set_point=SetPoint(depth_m=0.2), says=(said,))
+                box.add(t_ns + STEP_NS // 2, encode(Inputs(sightings=(frame,))), encode(spoken))
+    moments = range(0, (FRAMES + 1) * STEP_NS, STEP_NS // 2)
+    swum = (f"{t_ns},fish,{','.join(map(str, fish_m(t_ns)))},0,0" for t_ns in moments)
+    (folder / "creatures.csv").write_text("\n".join(["t_ns,creature,x_m,y_m,z_m,heading_rad,pitch_rad", *swum]))
+    ways = [
+        f"{t_ns},{name},{x},{y},{surface_m - 0.2},0,0,{yaw_deg},"
+        f"{math.degrees(math.atan2(fish_m(t_ns)[1] - y, fish_m(t_ns)[0] - x)) - yaw_deg},0"
+        for t_ns in moments
+        for name, (x, y, yaw_deg) in ROBOTS.items()
+    ]
+    (folder / "paths.csv").write_text(
+        "\n".join(["t_ns,robot,x_m,y_m,z_m,roll_deg,pitch_deg,yaw_deg,pan_deg,tilt_deg", *ways])
+    )
+
+
+def test_each_cause_of_a_tracks_error_is_worth_what_was_done_to_it(tmp_path: Path) -> None:
+    swim_wrongly(tmp_path)
+    rms_mm = {one.track: one.whole[0] for one in track_causes(tmp_path)}
+    assert rms_mm["as the robots believed it"] == pytest.approx(2.5, abs=0.1), "50 ms at 5 cm/s"
+    assert rms_mm["with both"] < 4.0
+    by_yaw, by_picture = (
+        rms_mm["with the true middle in each picture"],
+        rms_mm["with the true place and way of each camera"],
+    )
+    turned = math.radians(YAW_DEG) / (PICTURE_PX / at_lens_position(CALIBRATION.camera, 300).f_px)
+    assert by_yaw > 15.0 and by_yaw / by_picture == pytest.approx(turned, rel=0.35), "a body turns farther off"
+    assert len(causes_table(track_causes(tmp_path)).splitlines()) == 2 + len(rms_mm)
+    (tmp_path / "paths.csv").unlink()
+    with pytest.raises(ConfigError, match="give the folder of a demo"):
+        track_causes(tmp_path)
 
 
 def test_its_figures_show_every_robot() -> None:
