@@ -258,6 +258,11 @@ def test_the_worker_moves_the_lens_towards_a_target_as_far_as_landmarks_allow(wo
             told += [each.focus for each in watch.drain()[0]]
             time.sleep(0.002)
         assert told[-1] == watch.rest == expected
+        stays = []
+        while time.monotonic() < until and len(stays) < 4:
+            stays += [each.focus for each in watch.drain()[0]]
+            time.sleep(0.002)
+        assert stays[:4] == [expected] * 4, "it does not go to and fro between the target's and the landmarks'"
     out.close()
 
 
