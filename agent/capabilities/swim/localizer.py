@@ -244,7 +244,7 @@ class Localizer(Revertible):
     def see(self, frame: SeenTags, carriage: Carriage) -> None:
         """The landmarks of a frame; level and gimbal at its exposure."""
         of = view(self._camera, self._body, self._surface_m, frame.focus)
-        tags = readable(frame.tags, self._map.landmarks.size_m, of, self._focus, frame.focus)
+        tags = readable(frame.tags, self._map.landmarks.size_m, self._focus, frame.focus)
         if not tags:
             return
         before = self.at(frame.t_ns)

@@ -267,17 +267,19 @@ WIDTH_PX = 2.5  # diameter of the blur's disc a half width of the clarity peak o
 MIXED = 1.0  # of a module
 
 
-def readable(tags: Iterable[SeenTag], size_m: float, of: View, fit: FocusFit, focus: float | None) -> list[SeenTag]:
+def readable(tags: Iterable[SeenTag], size_m: float, fit: FocusFit, focus: float | None) -> list[SeenTag]:
     """The tags whose blur is narrower than a module. size_m: of a tag; focus: the frame's lens position, None: it is
     not known, and all count."""
     if focus is None:
         return list(tags)
-    return [tag for tag in tags if _blur_px(tag, size_m, of, fit, focus) <= MIXED * tag.size_px / MODULES]
+    return [tag for tag in tags if _blur_px(tag, size_m, fit, focus) <= MIXED * tag.size_px / MODULES]
 
 
-def _blur_px(tag: SeenTag, size_m: float, of: View, fit: FocusFit, focus: float) -> float:
+def _blur_px(tag: SeenTag, size_m: float, fit: FocusFit, focus: float) -> float:
     """Diameter; infinite for a tag that is before the lens's nearest range."""
-    away_m = size_m * of.f_px / max(tag.size_px, 1e-9)
+    a, b, c, d = tag.corners
+    sides, diagonals = (math.dist(a, b), math.dist(b, c)), (math.dist(a, c), math.dist(b, d))
+    away_m = size_m / max(*sides, *(diagonal / math.sqrt(2.0) for diagonal in diagonals), 1e-9)  # aslant or not
     if away_m <= fit.u_inf_m:
         return float("inf")
     return WIDTH_PX * abs(focus - lens_position(fit, away_m)) / fit.width

@@ -100,7 +100,7 @@ def judged(
     start = stand.x_m + float(off[0]), stand.y_m + float(off[1]), wrap(stand.yaw + float(off[2]))
     of = view(calibration.camera, fleet.body, TANK.surface_m, lens)
     before = priors(stand.level, stand.gimbal_deg, 0.0, turning=False)
-    tags = readable([one.seen for one in found], known.landmarks.size_m, of, calibration.focus, lens)
+    tags = readable([one.seen for one in found], known.landmarks.size_m, calibration.focus, lens)
     fix = tag_fix(of, before, known, tags, start)
     blurs = [one.blur_px for one in found if one.blur_px is not None]
     row: Row = {"blur_px": float(np.median(blurs)) if blurs else None}

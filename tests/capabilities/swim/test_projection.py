@@ -1,5 +1,7 @@
 """Tags that the lens shows too blurred do not count, whatever the picture says."""
 
+import math
+
 import msgspec
 import numpy as np
 import pytest
@@ -18,23 +20,40 @@ from tests.known_lens import PLAIN
 SIZE_M, SIDE_PX = 0.08, 80.0
 AWAY_M = SIZE_M * VIEW.f_px / SIDE_PX
 SHARP = lens_position(PLAIN, AWAY_M)
-TAG = SeenTag(3, ((0.0, 0.0), (0.1, 0.0), (0.1, 0.1), (0.0, 0.1)), SIDE_PX, 0.0, True)
+
+
+def tag(wide_px: float, high_px: float) -> SeenTag:
+    u, v = wide_px / VIEW.f_px, high_px / VIEW.f_px
+    return SeenTag(3, ((0.0, 0.0), (u, 0.0), (u, v), (0.0, v)), min(wide_px, high_px), 0.0, True)
+
+
+TAG = tag(SIDE_PX, SIDE_PX)
 MODULE = PLAIN.width * (SIDE_PX / 8) / WIDTH_PX  # so far off focus the blur is a module wide, lens positions
 
 
 @pytest.mark.parametrize("way", [-1.0, 1.0])
 def test_a_tag_counts_until_its_blur_is_a_module_wide(way) -> None:
-    assert readable([TAG], SIZE_M, VIEW, PLAIN, SHARP + 0.99 * way * MODULE) == [TAG]
-    assert readable([TAG], SIZE_M, VIEW, PLAIN, SHARP + 1.01 * way * MODULE) == []
+    assert readable([TAG], SIZE_M, PLAIN, SHARP + 0.99 * way * MODULE) == [TAG]
+    assert readable([TAG], SIZE_M, PLAIN, SHARP + 1.01 * way * MODULE) == []
+
+
+def test_how_far_a_tag_is_goes_by_the_side_that_it_does_not_show_aslant() -> None:
+    aslant = tag(SIDE_PX, 0.25 * SIDE_PX)
+    assert readable([aslant], SIZE_M, PLAIN, SHARP) == [aslant]
+    assert readable([aslant], SIZE_M, PLAIN, SHARP + 0.3 * MODULE) == [], "its modules are narrow one way"
+    c, s = 0.5 * SIDE_PX / VIEW.f_px, 0.1 * SIDE_PX / VIEW.f_px  # the same, one corner ahead
+    turned = SeenTag(3, ((0.0, -s), (c, 0.0), (0.0, s), (-c, 0.0)), VIEW.f_px * math.hypot(c, s), 0.0, True)
+    farther = lens_position(PLAIN, AWAY_M * math.sqrt(2.0))
+    assert readable([turned], SIZE_M, PLAIN, farther) == [turned]
 
 
 def test_nothing_is_left_out_where_nobody_knows_the_lens() -> None:
-    assert readable([TAG], SIZE_M, VIEW, PLAIN, None) == [TAG]
+    assert readable([TAG], SIZE_M, PLAIN, None) == [TAG]
 
 
 def test_what_no_lens_position_shows_sharp_does_not_count() -> None:
-    near, fit = replace(TAG, size_px=1e5), replace(PLAIN, u_inf_m=0.01)
-    assert readable([near], SIZE_M, VIEW, fit, SHARP) == []
+    near, fit = tag(1e5, 1e5), replace(PLAIN, u_inf_m=0.01)
+    assert readable([near], SIZE_M, fit, SHARP) == []
 
 
 # --- lens errors ---
