@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
-from threading import Event, Thread
+from threading import Condition, Event, Thread
 from types import TracebackType
 from typing import NamedTuple, Protocol, Self, TypeVar
 
@@ -68,6 +68,9 @@ from replay.recorder import BlackBoxWriter, black_box_log
 
 STEP_NS = 50_000_000  # 20 Hz: set-points reach the control module often enough to be its heartbeat
 SLACK_S = 0.025  # how late a step may come before a dive's clock waits for it
+# A frame that shows a target is not kept waiting. Frames of 10 Hz take every second step to themselves: the one after
+# next waits so much longer for them, or there would be three steps in each tenth of a second.
+LATER_NS = 5_000_000
 
 T = TypeVar("T")
 Around = tuple[tuple[SeenTags, ...], tuple[Flow, ...]]  # what frames showed of what stays where it is
@@ -130,19 +133,45 @@ class Runtime:
         self._faults, self._motors, self._sign, self._keys = faults, motors, sign, keys
         self._landmarks, self._draw, self._preview_hz = landmarks, draw, preview_hz
         self._broken: dict[str, str] = {}  # parts that raised when they were last asked
+        self._changed = Condition()
+        self._waits: Part | None = None  # the loop, while it does; guarded by _changed, as is the next
+        self._shown = False  # a frame came that is not to be kept waiting
 
     def run(self, stop: Event) -> None:
-        """Step at 20 Hz of the clock until `stop` is set."""
+        """Step at 20 Hz of the clock, and when a frame shows a target, until `stop` is set."""
         part = Part(self._clock, part_name(self._name, LOOP), SLACK_S)
-        number, due_ns = 0, self._clock.now_ns()
+        number, due_ns, by_frame = 0, self._clock.now_ns(), False
         try:
             while not stop.is_set():
                 self.step(number)
                 number += 1
-                due_ns = max(due_ns + STEP_NS, self._clock.now_ns() - STEP_NS)  # after a stall: no burst of late steps
-                part.wait(stop, due_ns)
+                now_ns = self._clock.now_ns()
+                due_ns = max(due_ns + STEP_NS, now_ns - STEP_NS)  # after a stall: no burst of late steps
+                if self._wait(part, stop, due_ns + LATER_NS * (not by_frame)):
+                    by_frame, due_ns = True, self._clock.now_ns()
+                else:
+                    by_frame = False
         finally:
             part.leave()
+
+    def _wait(self, part: Part, stop: Event, until_ns: int) -> bool:
+        """Until then, or until a frame shows a target: whether one did."""
+        with self._changed:
+            self._waits = part
+            while not (self._shown or stop.is_set()) and part.wait_changed(self._changed, until_ns):
+                pass
+            self._waits, shown, self._shown = None, self._shown, False
+        return shown
+
+    def show(self, sightings: Sequence[Sighting]) -> None:
+        """Of a frame that is known; on vision's thread. One of a sweep can wait: only its last one matters."""
+        if not any(sighting.found and sighting.index < 0 for sighting in sightings):
+            return
+        with self._changed:
+            self._shown = True
+            if self._waits is not None:
+                self._waits.resume()
+            self._changed.notify()
 
     def step(self, number: int) -> None:
         """Once around the loop."""
@@ -309,6 +338,7 @@ class AgentProcess:
         self._clock = setup.clock
         self._incarnation = self._clock.now_ns()
         self._agent = Agent(setup.fleet, setup.name, setup.calibration, self._incarnation)
+        self._loop: Runtime | None = None  # before the module is open
 
     def open_links(self, out: Path, lossless: bool) -> None:
         """Links to the neighbours, then the recording: a start that fails leaves none. The links close first."""
@@ -373,7 +403,7 @@ class AgentProcess:
             }
             return (*(f"{kind}: {what}" for kind, what in found.items() if what), *self._link.faults())
 
-        return Runtime(
+        self._loop = Runtime(
             self._setup.name,
             self._agent,
             self._eyes,
@@ -389,6 +419,7 @@ class AgentProcess:
             draw=self._draw,
             preview_hz=self._preview.set_rate,
         )
+        return self._loop
 
     def _draw(self, drawn: TargetBox) -> str | None:
         """Have vision look for what is in a box of a frame that was shown. Returns why not."""
@@ -412,7 +443,9 @@ class AgentProcess:
         self._log("info", text)
 
     def _on_frame(self, frame: Frame, sightings: Sequence[Sighting]) -> None:
-        """Vision's thread: record, and show to people who look."""
+        """Vision's thread: tell the loop, record, and show to people who look."""
+        if (loop := self._loop) is not None:
+            loop.show(sightings)
         self._box.frame(frame.image, frame.roi, *sightings)
         if (
             not self._stop.is_set()
