@@ -196,7 +196,7 @@ class Targets(Revertible):
         """One each period; a sweep that is nearly done is waited for, a frame of what swims does not wait itself."""
         target, elapsed_ns = self.current, now_ns - self._iterated_ns
         period_ns = self._iteration_ns[target.name]
-        due_ns = period_ns // 2 if own is not None and own.sighted == target.name else period_ns
+        due_ns = 0 if own is not None and own.sighted == target.name else period_ns
         comes = target.prior is None and (self._target_search.measuring or self._settling)
         if elapsed_ns < due_ns or (comes and elapsed_ns < LATEST_ITERATION * period_ns):
             return
