@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import partial
 from io import StringIO
 from typing import Any
@@ -18,6 +18,7 @@ from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, V
 from agent.process.command import temporary_folder
 
 ALL_PERCENT = 95.0  # of the dives have to be right
+WORST_MM = 45.0  # off a fish's track in any of them
 
 # --- one dive ---
 
@@ -66,8 +67,8 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
 # --- what its summary.json says of the target ---
 
 
-def worst(rows: dict[str, dict[str, Any]], key: str) -> float | None:
-    """The largest of all robots; None: one has none."""
+def worst(rows: Mapping[Any, Row], key: str) -> float | None:
+    """The largest of all rows, of robots or of dives; None: one has none."""
     values = [row[key] for row in rows.values()]
     return None if None in values else float(max(values))
 
@@ -107,6 +108,7 @@ def summary(rows: Rows) -> dict[str, Value]:
             found["box_outside_mm"] = median("outside_mm")
         else:
             found |= {f"fish_{key}": median(key) for key in BARS}
+            found["fish_worst_mm"] = worst(dict(enumerate(dives)), "track_rms_mm")
     return found
 
 
@@ -139,6 +141,7 @@ def _figures(case: str) -> tuple[Figure, ...]:
             figure(key, f"{words[key]}, median", "mm" if key.endswith("mm") else "", least=least, most=most)
             for key, (least, most) in BARS.items()
         )
+        own += (figure("worst_mm", "off its track in the worst dive, rms", "mm", most=WORST_MM),)
     return (
         *own,
         figure("doubted", "dives at whose end a robot says another word than `consistent`", "%"),
