@@ -249,7 +249,7 @@ class Targets(Revertible):
         """Say to each neighbour what there is about each target; at once what was just concluded of one that swims."""
         fresh = pursues is not None and self._iterated_ns == now_ns
         say_ns = round(1e9 / (send_hz or self._fleet.link.send_hz))
-        if now_ns < self._say_due_ns - fresh * say_ns // 2:
+        if now_ns < self._say_due_ns and not fresh:
             return ()
         self._say_due_ns = next_due_ns(min(self._say_due_ns, now_ns), say_ns, now_ns)
         self._said += 1
