@@ -34,6 +34,7 @@ _STUCK = const(7)
 _TILTED = const(8)
 _TWO_BAD = const(9)
 STOP, PARAMETERS, WATCHDOG, FAULT = 10, 11, 12, 13
+KILLED = 14
 
 
 class Ladder:
@@ -101,11 +102,12 @@ class Ladder:
         self.reason = reason
 
 
-def arm_faults(hello, plane, battery_low, leak, neutral, age_us, esc_us, ladder, loop_max_us, tare_old):
+def arm_faults(hello, plane, battery_low, leak, neutral, age_us, esc_us, ladder, loop_max_us, tare_old, killed):
     """Bit mask, in the order of wire.ARM_CHECKS, of all that speaks against arming; 0: go.
 
     hello: the handshake agreed; neutral: no planar push, no tilt is asked for; esc_us: for how long all pulses have
-    been neutral; tare_old: it was made more than TARE_FOR_MS ago.
+    been neutral, and ESCs there to hear them; tare_old: it was made more than TARE_FOR_MS ago; killed: the loop of the
+    kill switch is open.
     """
     checks = (
         not hello,
@@ -121,6 +123,7 @@ def arm_faults(hello, plane, battery_low, leak, neutral, age_us, esc_us, ladder,
         ladder.level == LATCHED,
         loop_max_us >= _LOOP_LIMIT_US,
         tare_old,
+        killed,
     )
     mask = 0
     for i in range(len(checks)):

@@ -85,7 +85,8 @@ class Hal(pins.Pins):
         self._sensors = ms5837.Sensors(open_bus(), free_bus)
         spi = machine.SPI(2, baudrate=1000000, polarity=0, phase=0)
         pyb.Pin("PB14", mode=pyb.Pin.ALT, pull=pyb.Pin.PULL_UP, alt=5)  # so that silence reads as 255
-        self.yaw_rate_cdeg_s = gyro.Gyro(spi, pyb.Pin("PE7", mode=pyb.Pin.OUT, value=1).value).rate_cdeg_s
+        motion = gyro.Gyro(spi, pyb.Pin("PE7", mode=pyb.Pin.OUT, value=1).value)
+        self.yaw_rate_cdeg_s, self.gravity_mg = motion.rate_cdeg_s, motion.gravity_mg
         self._usb = pyb.USB_VCP()
         self._uart = None
         if "usb" in os.listdir():  # a file of this name: the tether is the board's own USB port

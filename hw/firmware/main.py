@@ -92,6 +92,7 @@ class Firmware:
         self.cycle += 1
         unsensed = None
         try:
+            module.killed = hal.killed()
             module.sense(hal.pressure_mPa, hal.answered, hal.battery_mv, hal.leak, dt_us)
         except Exception as error:
             unsensed = error

@@ -25,6 +25,9 @@ _FAULTS_LIMIT = const(10)
 _LOST_US = const(500000)
 _TICK_US = const(10000)
 _TICKS_AT_ONCE = const(10)  # that a law makes up for, where cycles were lost
+# Below this no ESC lives. One that is plugged in plays its tunes for so long before it hears what is neutral.
+_ESC_LIVES_MV = const(6000)
+_ESC_STARTS_US = const(2000000)
 _BENCH_US = const(60)  # over neutral: a propeller in air turns visibly and slowly
 
 
@@ -62,7 +65,8 @@ class Control:
         self.neutral_us = [thrust.NEUTRAL_US] * 8
         self.pulses_us = [thrust.NEUTRAL_US] * 8
         self.saturated = 0  # bit 0 central, bit 1 flat thrusters
-        self.esc_us = 0  # for how long all pulses have been neutral
+        self.esc_us = 0  # for how long ESCs have heard neutral pulses; negative: they start up
+        self.killed = False  # the kill switch has the thrusters
         self.leak = False
         self.battery_low = False
         self.tare_old = False
@@ -115,6 +119,10 @@ class Control:
             self.set_point.age_us += dt_us
         self.leak = bool(leak)
         self.battery_low = battery_mv < self._battery_min_mv
+        if battery_mv < _ESC_LIVES_MV:
+            self.esc_us = -_ESC_STARTS_US
+        elif self.killed and self.esc_us > 0:
+            self.esc_us = 0
         if self._battery_mv64:
             self._battery_mv64 += ((battery_mv << 6) - self._battery_mv64 + _BATTERY_TICKS // 2) // _BATTERY_TICKS
         else:
@@ -128,6 +136,10 @@ class Control:
                 self.esc_us += dt_us
             return False
         self.esc_us = 0
+        if self.killed:
+            self.ladder.give_up(failsafe.KILLED)
+            self.disarm()
+            return True
         if self._owed:
             self._recover()
         before = self.ladder.level
@@ -236,6 +248,7 @@ class Control:
             self.ladder,
             loop_max_us,
             self.tare_old and not armed,
+            self.killed,
         )
 
     def arm(self):

@@ -129,6 +129,8 @@ class Orders:
     def _arm(self):
         control = self._control
         before = control.ladder.level
+        if control.killed and control.state == _DISARMED:
+            self._line.revive()  # ESCs hear neutral again, and are armed once they have heard it for long enough
         control.tare_old = self._flash.tare_is_old(control.set_point.host_ms)
         faults = control.arm_faults(self._line.hello, self._line.slowest_us())
         if faults:

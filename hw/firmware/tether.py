@@ -26,6 +26,7 @@ _FLAG_TARED = const(4)
 _FLAG_LEAK = const(8)
 _FLAG_BATTERY = const(16)
 _FLAG_FRESH = const(32)
+_FLAG_KILLED = const(64)
 _MODE_SHIFT = const(8)
 _VALID_DEPTH = const(1)
 _VALID_ATTITUDE = const(2)
@@ -185,6 +186,11 @@ class Tether:
         """Let the thrusters' pulses come as often as the parameter says."""
         self._hal.begin_pulses(self._control.pulse_frame_us)
 
+    def revive(self):
+        """Neutral pulses again, where the kill switch is closed."""
+        self._hal.revive()
+        self._control.killed = self._hal.killed()
+
     def say(self, kind, *fields):
         """One frame, now."""
         self._hal.write(self._writer.frame(kind, *fields))
@@ -203,6 +209,8 @@ class Tether:
             flags |= _FLAG_LEAK
         if control.battery_low:
             flags |= _FLAG_BATTERY
+        if control.killed:
+            flags |= _FLAG_KILLED
         if set_point.age_us <= failsafe.HOLD_AFTER_US:
             flags |= _FLAG_FRESH
         roll = (3 * plane.roll_100nrad + 2618) // 5236  # of which 1745.329 are a hundredth of a degree

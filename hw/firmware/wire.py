@@ -75,6 +75,7 @@ DISARMED, ARMED = 0, 1  # TELEM state
 
 # Bits of TELEM's flags
 FLAG_HELLO, FLAG_DEGRADED, FLAG_TARED, FLAG_LEAK, FLAG_BATTERY, FLAG_FRESH = 1, 2, 4, 8, 16, 32
+FLAG_KILLED = 64  # the kill switch's loop is open, or was, and nobody has armed since: no thruster has pulses
 MODE_SHIFT = 8  # two bits of the flags: the mode
 
 # MODE: keep depth and level; keep level, no vertical thrust; go up and stop there; turn one thruster, law off
@@ -117,6 +118,7 @@ REASONS = (
     "parameters unreadable",
     "watchdog",
     "control fault",
+    "kill switch",
 )
 
 ARM_CHECKS = (
@@ -133,6 +135,7 @@ ARM_CHECKS = (
     "fault latched",
     "control cycle too slow",
     "tare older than 12 h",
+    "kill switch open",
 )
 
 

@@ -174,7 +174,7 @@ class Stm32:
         self._stop(wire.MODE, wire.SURFACE, 0)
 
     def emergency_stop(self) -> None:
-        """Motors off, and no arming until the board was restarted. For the bench: no order of a fleet does it."""
+        """Motors off, and no arming until the board was restarted, which `arm` does for this host, and for no other."""
         self._stop(wire.ESTOP)
 
     def mode(self, mode: Mode, thruster: int = 0) -> Future[Outcome]:
@@ -373,13 +373,14 @@ class Module(Protocol):
     @property
     def wants_armed(self) -> bool: ...
     def arm(self) -> None: ...
-    def disarm(self) -> None: ...
+    def emergency_stop(self) -> None: ...
     def surface(self) -> None: ...
 
 
 class Motors:
     """Whether the motors of one robot turn, by the agent's start and by orders; the module is told so, and told again.
 
+    A stop is latched in the module: whatever becomes of this agent, only a person's order to arm undoes it.
     A robot that surfaced because its host was silent is called back when the host is there again, but never a robot
     that was ordered up or stopped.
     """
@@ -413,7 +414,7 @@ class Motors:
         self._told_ns = now_ns
         match self._wish:
             case "off":
-                self._module.disarm()
+                self._module.emergency_stop()
             case "surface":
                 self._module.surface()
             case "arm":

@@ -339,6 +339,7 @@ class HostProtocol:
 
     def __init__(self, host_boot: int) -> None:
         self._arming = Arming()
+        self._stop: Literal["none", "latched", "rebooting"] = "none"  # an emergency stop of this host's
         self.telemetry: deque[Telemetry] = deque()
         self.lines: deque[StatusText] = deque(maxlen=KEEP_LINES)
         self._host_boot = host_boot
@@ -403,12 +404,18 @@ class HostProtocol:
         return self._frame(wire.SETPOINT, *set_point_fields(asked, now_ns))
 
     def arm(self) -> None:
-        """Ask for arming as soon as the board can; a refusal that waiting cannot cure ends it."""
+        """Ask for arming as soon as the board can; a refusal that waiting cannot cure ends it.
+
+        A board that this host stopped is rebooted first: the person who arms it knows of the stop. One that latched for
+        another reason, or for another host, is not.
+        """
         self._arming.want()
 
     def stop(self, kind: int, *fields: float) -> None:
         """DISARM, ESTOP, or MODE to surface, ahead of any other command."""
         self._arming.wanted = False
+        if kind == wire.ESTOP:
+            self._stop = "latched"
         self._orders.overtake(Order(kind, fields))
 
     def ask(self, kind: int, *fields: float) -> Future[Outcome]:
@@ -440,7 +447,12 @@ class HostProtocol:
         current = self._orders.current
         idle = self._hello and self._orders.idle
         if idle and self._arming.due(now_ns):
-            self._orders.ask(Order(wire.ARM))
+            if self._stop == "none":
+                self._orders.ask(Order(wire.ARM))
+            else:
+                self._stop = "rebooting"
+                self._orders.ask(Order(wire.REBOOT, (wire.REBOOT_MAGIC,)))
+                self._arming.later(now_ns)
         order = self._orders.due(now_ns, ready=self._hello)
         if order is not None:
             out += self._frame(order.kind, order.req_id, self._boot_id or 0, *order.fields)
@@ -499,7 +511,9 @@ class HostProtocol:
         name = build.decode(errors="replace")
         self.greeting = Greeting(name, uid.hex(), boot_id, cause, crc, capabilities)
         if boot_id != self._boot_id and self._boot_id is not None:
-            self._say(self._arming.give_up("the board has restarted; arm again"))
+            if self._stop != "rebooting":
+                self._say(self._arming.give_up("the board has restarted; arm again"))
+            self._stop = "none"
         self._boot_id = boot_id
         self._hello = True
         self.say("info", f"board {name}, boot {boot_id:08x}")

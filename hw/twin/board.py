@@ -118,6 +118,8 @@ class Board:
         current_10ma: int = CURRENT_10MA,
         leak: bool = False,
         yaw_rate_cdeg_s: int = bus.NO_RATE,
+        open_loop: bool = False,
+        gravity_mg: tuple[int, int] = bus.NO_GRAVITY,
     ) -> None:
         """One tick of the hardware: time goes on, and this is what the sensors read."""
         self._clock_us = clock_us
@@ -134,7 +136,8 @@ class Board:
         if begins_us is not None:
             sensors = (pressure_pa, battery_mv, current_10ma, leak, answered)
             waited_us = begins_us - since_boot_us
-            record = bus.tick(begins_us, *sensors, waited_us, self._percent, yaw_rate_cdeg_s)
+            motion = yaw_rate_cdeg_s, open_loop, gravity_mg
+            record = bus.tick(begins_us, *sensors, waited_us, self._percent, *motion)
             running.tick(begins_us, record)
 
     def act(self, patience_s: float) -> Act | None:

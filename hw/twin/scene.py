@@ -93,6 +93,12 @@ class ThrusterGain(Fault, frozen=True, kw_only=True, tag="thruster_gain"):
     gain: float  # on what it gave before; negative: mounted the wrong way round
 
 
+class KillSwitch(Fault, frozen=True, kw_only=True, tag="kill_switch"):
+    """The loop of the kill switch is opened or closed; a broken wire is open for good."""
+
+    to: Literal["open", "closed", "broken"]
+
+
 class SerialUnplug(Fault, frozen=True, kw_only=True, tag="serial_unplug"):
     for_s: Positive
 
@@ -165,6 +171,7 @@ AnyEvent = (
     | Battery
     | ThrusterDead
     | ThrusterGain
+    | KillSwitch
     | SerialUnplug
     | PowerCut
     | FirmwareHang

@@ -41,6 +41,7 @@ class Desk:
         self.battery_mv = 15000
         self.yaw_rate = bus.NO_RATE
         self.leak = 0
+        self.open_loop = False
         self.frame_us = self.pins_us = self.busy_us = 0  # in the last answer, as hw.firmware.bus.ACT
         self.frames: list[tuple[int, tuple[Any, ...]]] = []
         self.framer = wire.Framer(lambda kind, _seq, payload: self.frames.append((kind, wire.unpack(kind, payload))))
@@ -73,7 +74,7 @@ class Desk:
         for _ in range(n):
             self.now_us += 10_000
             sensors = (self.pressure_pa, self.battery_mv, 100, self.leak, self.answered)
-            self.bus.sendall(bus.tick(self.now_us, *sensors, yaw_rate=self.yaw_rate))
+            self.bus.sendall(bus.tick(self.now_us, *sensors, yaw_rate=self.yaw_rate, open_loop=self.open_loop))
             answer = b""
             while len(answer) < bus.ACT_SIZE:
                 chunk = self.bus.recv(bus.ACT_SIZE - len(answer))

@@ -38,12 +38,24 @@ class BareHal:
     def __init__(self, flash: dict[str, Any] | None = None) -> None:
         self.pressure_pa = [AIR_PA + 0.3 * PA_PER_M] * 4
         self.answered, self.battery_mv, self.leak = 15, 15000, 0
+        self.open_loop = self.off = False
+        self.gravity: tuple[int, int] | None = None
         self.pulses_us = [1500] * 8
         self.servos_us, self.light_permille, self.armed = [1500] * 4, 0, 0
         self.flash = {"tare_pa": [AIR_PA] * 4} if flash is None else flash
         self.us, self.dt_us = 0, CYCLE_US
         self.to_board = b""
         self.from_board = bytearray()
+
+    def killed(self) -> bool:
+        self.off = self.off or self.open_loop
+        return self.off
+
+    def gravity_mg(self) -> tuple[int, int] | None:
+        return self.gravity
+
+    def revive(self) -> None:
+        self.off = self.open_loop
 
     def boot_info(self) -> tuple[bytes, int, int]:
         return bytes(12), BOOT_ID, wire.POWER_ON

@@ -43,6 +43,12 @@ class Hal:
     def begin_pulses(self, frame_us):
         pass
 
+    def killed(self):
+        return False
+
+    def gravity_mg(self):
+        return 1000, 0
+
     def now_us(self):
         return self.us
 

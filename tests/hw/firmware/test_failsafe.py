@@ -110,6 +110,7 @@ GO = {
     "ladder": failsafe.Ladder(),
     "loop_max_us": 4000,
     "tare_old": False,
+    "killed": False,
 }
 STOPPED = failsafe.Ladder()
 STOPPED.latch(failsafe.STOP)
@@ -131,6 +132,7 @@ STOPPED.latch(failsafe.STOP)
         ({"ladder": STOPPED}, "fault latched"),
         ({"loop_max_us": 9000}, "control cycle too slow"),
         ({"tare_old": True}, "tare older than 12 h"),
+        ({"killed": True}, "kill switch open"),
     ],
 )
 def test_each_arming_check_alone(change, check):
@@ -141,13 +143,13 @@ def test_each_arming_check_alone(change, check):
 def test_arming_checks_are_reported_together():
     bad = plane(bad_count=1, parity_m=1.0, tare_mPa=None, roll_deg=57.0)
     assert (
-        failsafe.arm_faults(False, bad, True, True, False, 1 << 29, 0, STOPPED, 9999, True)
+        failsafe.arm_faults(False, bad, True, True, False, 1 << 29, 0, STOPPED, 9999, True, True)
         == 2 ** len(wire.ARM_CHECKS) - 1
     )
 
 
 def test_reasons_are_numbered_alike_on_both_sides():
-    assert wire.REASONS[failsafe.STOP] == "emergency stop" and len(wire.REASONS) == failsafe.FAULT + 1
+    assert wire.REASONS[failsafe.STOP] == "emergency stop" and len(wire.REASONS) == failsafe.KILLED + 1
 
 
 # --- failsafe dive ---
@@ -307,6 +309,53 @@ def test_on_its_side_it_stops_its_motors(hovering):
     assert tilted_s > 2.0 - 0.1
     robot.run(1.0)
     assert robot.heard("tilted") and at_rest(robot)
+
+
+@pytest.mark.parametrize("to", ["open", "broken"])
+def test_an_open_kill_switch_and_a_broken_wire_disarm_and_are_said(hovering, to):
+    robot = hovering
+    robot.dive.turn_kill_switch("r1", to)
+    robot.run(0.1)
+    assert not robot.armed and robot.telemetry[-1].flags & wire.FLAG_KILLED
+    robot.run(0.9)
+    assert robot.heard("kill switch") and at_rest(robot)
+    robot.protocol.arm()
+    robot.run(1.0)
+    assert robot.heard("kill switch open") and not robot.protocol.wants_armed
+    robot.dive.turn_kill_switch("r1", "closed")
+    robot.run(5.0)
+    assert not robot.armed and at_rest(robot), "a closed switch starts nobody"
+    robot.protocol.arm()
+    if to == "broken":
+        robot.run(5.0)
+        assert not robot.armed and at_rest(robot)
+    else:
+        robot.arm()
+        assert robot.thrust_n.max() > 0, "and the ESCs heard neutral for as long as they need"
+
+
+def test_a_spike_in_the_loop_is_a_kill_too_and_no_reboot_is_needed(hovering):
+    robot = hovering
+    robot.dive.turn_kill_switch("r1", "open")
+    robot.run(0.01)
+    robot.dive.turn_kill_switch("r1", "closed")
+    robot.run(1.0)
+    assert not robot.armed and at_rest(robot) and robot.heard("kill switch")
+    robot.arm()
+
+
+def test_escs_that_get_their_power_late_are_waited_for(robot):
+    """A battery that is plugged in while the board hangs on USB: neutral that no ESC hears does not count."""
+    robot.dive.set_battery("r1", 0.1)
+    robot.run(10.0)
+    robot.protocol.arm()
+    robot.run(1.0)
+    assert not robot.armed
+    robot.dive.set_battery("r1", 14.9)
+    robot.protocol.arm()
+    assert robot.until(lambda: robot.armed, 7.0) >= 5.0, "they start up, then they hear neutral for 3 s"
+    robot.arm()
+    assert robot.thrust_n.max() > 0
 
 
 def test_emergency_stop_lasts_until_the_power_was_off(hovering):

@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 
-from hw.firmware import parameters, pwm, wire
+from hw.firmware import parameters, wire, wiring
 from hw.stm32.driver import TEXTS, Stm32
 from tests.places import ROOT
 
@@ -33,7 +33,7 @@ def test_every_message_with_its_size():
 
 
 def test_every_pin():
-    for *_, pin in [*pwm.THRUSTERS, *pwm.SERVOS, pwm.LAMP, *pwm.KILL]:
+    for *_, pin in [*wiring.THRUSTERS, *wiring.SERVOS, wiring.LAMP, *wiring.KILL]:
         assert pin in README
 
 

@@ -58,6 +58,7 @@ control = Thing(
     mode=0,
     leak=False,
     battery_low=False,
+    killed=False,
     state=1,
     saturated=0,
     pulses_us=[1500] * 8,
