@@ -17,6 +17,7 @@ _CAN_CURRENT = const(2)
 _CAN_LEAK = const(4)
 _CAN_KILL = const(8)
 _CAN_VERSION_2 = const(32)
+_CAN_VERSION_3 = const(64)
 _BY_ORDER = const(5)
 
 _CYCLE_US = const(10000)
@@ -64,7 +65,7 @@ def free_bus():
 class Hal(pins.Pins):
     """One board; main.py makes one. `wait_tick` begins a cycle, `end_cycle` shows its result on the pins."""
 
-    capabilities = _CAN_WATCHDOG | _CAN_CURRENT | _CAN_LEAK | _CAN_KILL | _CAN_VERSION_2
+    capabilities = _CAN_WATCHDOG | _CAN_CURRENT | _CAN_LEAK | _CAN_KILL | _CAN_VERSION_2 | _CAN_VERSION_3
 
     def __init__(self):
         super().__init__()

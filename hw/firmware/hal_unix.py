@@ -22,7 +22,9 @@ ARMED, DISARMED, FRAME, BYTE, HEARD, COLLECT, HEAP_FREE = range(7)
 class Hal:
     """One board. `wait_tick` ends a cycle and begins the next."""
 
-    capabilities = wire.CAN_CURRENT | wire.CAN_LEAK | wire.CAN_KILL | wire.SIMULATED | wire.CAN_VERSION_2
+    capabilities = (
+        wire.CAN_CURRENT | wire.CAN_LEAK | wire.CAN_KILL | wire.SIMULATED | wire.CAN_VERSION_2 | wire.CAN_VERSION_3
+    )
     temperature_cC = 0  # the simulated bus has no thermometer
 
     def __init__(self, serial_fd, bus_fd, flash_path):

@@ -28,6 +28,8 @@ _TICKS_AT_ONCE = const(10)  # that a law makes up for, where cycles were lost
 # Below this no ESC lives. One that is plugged in plays its tunes for so long before it hears what is neutral.
 _ESC_LIVES_MV = const(6000)
 _ESC_STARTS_US = const(2000000)
+_QUIET_100nm = const(300000)  # where a robot within 3 cm and 10 degrees is at rest
+_QUIET_100nrad = const(1740000)
 _BENCH_US = const(60)  # over neutral: a propeller in air turns visibly and slowly
 
 
@@ -58,7 +60,7 @@ class Control:
     def __init__(self):
         self.state = _DISARMED
         self.mode = _HOLD
-        self.bench_thruster = 0  # 1-8: turns in mode BENCH
+        self.bench_thruster = 0  # 1-8: turns in mode BENCH; 0: none
         self.plane = pressure.Plane(_PA_PER_M, _SENSOR_HALF_MM, _SENSOR_HALF_MM)
         self.ladder = failsafe.Ladder()
         self.set_point = SetPoint()
@@ -70,6 +72,7 @@ class Control:
         self.leak = False
         self.battery_low = False
         self.tare_old = False
+        self.probe = None  # of the thrusters; a law that observes nothing has none
         self._owed = 0  # good cycles, after faults
         self._lost_us = 0  # since the last good cycle
         self._failed = False  # the last one was none
@@ -80,6 +83,7 @@ class Control:
         self._ref = [0] * 3
         self._want = [0] * 3
         self._realised = [0] * 3
+        self._push = [0] * 3
         self.values = []  # of the parameters; configure() comes before anything else
         self.law = None
 
@@ -91,9 +95,12 @@ class Control:
         self.values_crc = parameters.crc(values)
         of = {name: values[i] for i, name in enumerate(parameters.NAMES)}
         name = parameters.LAWS[int(of["law"])]
+        self.probe = None
         if name == "observer":
             import gains
 
+            if of["nudge_s"] >= 1.0:
+                self.probe = failsafe.Probe(int(of["nudge_s"] * 100 + 0.5))
             self.law = law.Observer(gains.observer(of["heave_kg"], of["tilt_kgm2"], of["lag_s"]))
         elif name == "pid":
             import law_pid  # these two take no memory where they are not wanted
@@ -109,6 +116,7 @@ class Control:
         self._curve_battery_mv = int(of["curve_battery_mV"])
         self._battery_min_mv = int(of["battery_min_mV"])
         self.pulse_frame_us = of["pulse_frame_us"]
+        self._checked = of["wiring"] == failsafe.WIRING
         self._slew_uN = int(of["slew_N"] * 1e6 + 0.5)
         for j in range(8):
             self.neutral_us[j] = self.pulses_us[j] = int(of["zero_%d_us" % (j + 1)])
@@ -165,7 +173,13 @@ class Control:
             self._turn_one()
         else:
             self._drive(min((dt_us + _TICK_US // 2) // _TICK_US, _TICKS_AT_ONCE))
-        return level != before
+            self._watch(dt_us)
+            if self.ladder.level >= failsafe.DISARM:
+                self.disarm()
+            elif self.ladder.level != level:
+                self.hold_here()
+                self.set_point.level_out()
+        return self.ladder.level != before
 
     def fail(self, dt_us):
         """End a cycle that broke off: the last pulses stand. Returns whether the ladder moved."""
@@ -229,7 +243,32 @@ class Control:
         realised[0] -= weight
         if thrust.flat(set_point.force_uN[0], set_point.force_uN[1], set_point.yaw_uNm, full, forces):
             self.saturated |= 2
+        probe = self.probe
+        nudge = probe.sign() * (full >> failsafe.NUDGE_SHIFT) if probe else 0
+        if not nudge or self.saturated:
+            thrust.pulses(forces, self.neutral_us, full, self.pulses_us)
+            return
+        for j in range(4):
+            forces[j] += nudge
+            nudge = -nudge
         thrust.pulses(forces, self.neutral_us, full, self.pulses_us)
+        for j in range(4):
+            forces[j] -= nudge
+            nudge = -nudge
+
+    def _watch(self, dt_us):
+        """Whether what was asked for comes to anything."""
+        y, ref, law, push = self._y, self._ref, self.law, self._push
+        for i in range(3):
+            push[i] = law.disturbance(i)
+        off = max(abs(y[1] - ref[1]), abs(y[2] - ref[2]))
+        deep, cut = abs(y[0] - ref[0]), self.saturated & 1
+        level = self.ladder.watch(dt_us, deep, off, cut, push)
+        if self.probe and level < failsafe.SURFACE:
+            quiet = not cut and deep < _QUIET_100nm and off < _QUIET_100nrad
+            reason = self.probe.step(push[1], push[2], self._thrust_max_mN * 1000, quiet)
+            if reason:
+                self.ladder.suspect(reason)
 
     def arm_faults(self, hello, loop_max_us):
         """What speaks against arming, as the bit mask of failsafe.arm_faults.
@@ -249,6 +288,7 @@ class Control:
             loop_max_us,
             self.tare_old and not armed,
             self.killed,
+            self.mode != _BENCH and not self._checked,
         )
 
     def arm(self):

@@ -153,7 +153,7 @@ class Orders:
     def _mode(self, mode, thruster):
         control = self._control
         armed = control.state == _ARMED
-        if mode > _BENCH or (mode == _BENCH and not 1 <= thruster <= 8):
+        if mode > _BENCH or (mode == _BENCH and thruster > 8):
             return _RANGE
         if mode == _SURFACE:
             if not armed or control.mode == _BENCH:

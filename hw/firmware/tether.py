@@ -9,7 +9,8 @@ import orders
 
 # Of wire.py, whose numbers these are
 _ERROR = const(2)
-_PROTOCOL = const(2)
+_PROTOCOL = const(3)
+_OLD_PARAMETERS = const(20)  # of versions 1 and 2
 _TELEM_1 = const(0x01)
 _TELEM = const(0x05)
 _STATUS = const(0x02)
@@ -27,6 +28,7 @@ _FLAG_LEAK = const(8)
 _FLAG_BATTERY = const(16)
 _FLAG_FRESH = const(32)
 _FLAG_KILLED = const(64)
+_FLAG_FOUND = const(128)
 _MODE_SHIFT = const(8)
 _VALID_DEPTH = const(1)
 _VALID_ATTITUDE = const(2)
@@ -34,7 +36,7 @@ _VALID_FORCE = const(4)
 _VALID_SERVO = const(8)
 _VALID_LIGHT = const(16)
 
-_BUILD = b"aucamp04"
+_BUILD = b"aucamp05"
 _TELEM_1_END = const(72)  # of the payload in the frame; behind it the yaw rate
 _RX_BYTES = const(128)  # in a cycle: three set-points; what is more waits in the port
 _EVENT_COPIES = const(3)  # events are not acknowledged
@@ -175,10 +177,11 @@ class Tether:
                 self.log(_ERROR, "host speaks another protocol: no arming")
             for text in self._complaints:
                 self.log(_ERROR, text)
+        count = len(self._control.values) if says == _PROTOCOL else _OLD_PARAMETERS
         # fmt: off
         self.say(
             _HELLO_ACK, says, frames.SCHEMA_CRC[says], _BUILD, self._uid, self.boot_id, self.reset_cause,
-            self._control.state, self._control.values_crc, len(self._control.values), self._hal.capabilities,
+            self._control.state, self._control.values_crc, count, self._hal.capabilities,
         )
         # fmt: on
 
@@ -211,6 +214,8 @@ class Tether:
             flags |= _FLAG_BATTERY
         if control.killed:
             flags |= _FLAG_KILLED
+        if control.ladder.found():
+            flags |= _FLAG_FOUND
         if set_point.age_us <= failsafe.HOLD_AFTER_US:
             flags |= _FLAG_FRESH
         roll = (3 * plane.roll_100nrad + 2618) // 5236  # of which 1745.329 are a hundredth of a degree

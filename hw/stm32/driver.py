@@ -61,6 +61,8 @@ TEXTS: dict[str, tuple[str, str]] = {  # name -> unit and meaning, as people rea
     "slew_N": ("N", "largest change of a thruster's force in one cycle of 10 ms"),
     **{f"zero_{k}_us": ("us", f"neutral pulse of T{k}") for k in range(1, 9)},
     "pulse_frame_us": ("us", "from one pulse of a thruster to the next, as short as its ESC takes"),
+    "nudge_s": ("s", "from one test of T1-T4 in the dive to the next, 1 or more; 0: none"),
+    "wiring": ("", "what `aucamp board check` has passed; 0: nothing"),
 }
 
 IDS: dict[str, int] = {name: i for i, name in enumerate(parameters.NAMES)}
@@ -423,6 +425,6 @@ class Motors:
 
 def surfacing_for_silence(telemetry: Telemetry) -> bool:
     """Whether the module, still armed, rises only because the host was silent for 3 s. The host is back now, and the
-    order to arm still holds; a leak, a low battery or a bad sensor is for a person to judge."""
-    own = wire.FLAG_LEAK | wire.FLAG_BATTERY | wire.FLAG_DEGRADED
+    order to arm still holds; a leak, a low battery or whatever else the board found is for a person to judge."""
+    own = wire.FLAG_LEAK | wire.FLAG_BATTERY | wire.FLAG_DEGRADED | wire.FLAG_FOUND
     return telemetry.armed and telemetry.ladder == SURFACE and not telemetry.flags & own

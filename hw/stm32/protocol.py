@@ -68,6 +68,7 @@ class Orders:
         self.current: Order | None = None
         self._waiting: deque[Order] = deque()
         self._req_id = 0
+        self.parameters = len(parameters.NAMES)  # that the board has
 
     @property
     def idle(self) -> bool:
@@ -123,7 +124,7 @@ class Orders:
         if order is None or req_id != order.req_id or i >= len(parameters.NAMES):
             return None
         order.values[parameters.NAMES[i]] = float(f"{value:.6g}")  # float32 makes 0.1 into 0.10000000149
-        if order.kind == wire.PARAM_LIST and len(order.values) < len(parameters.NAMES):
+        if order.kind == wire.PARAM_LIST and len(order.values) < self.parameters:
             return None
         return self._end(order, wire.RESULTS[wire.OK])
 
@@ -499,12 +500,14 @@ class HostProtocol:
     ) -> None:
         crc, count, capabilities = rest
         known_protocol = wire.OLDEST <= protocol <= wire.PROTOCOL and schema == wire.schema_crc(protocol)
-        if not known_protocol or count != len(parameters.TABLE):
+        if not known_protocol or count != wire.PARAMETER_COUNTS[protocol]:
             self.say("error", "the board speaks another protocol; flash the firmware of this release")
             return
-        self._agreed = protocol == wire.PROTOCOL or not capabilities & wire.CAN_VERSION_2
-        if not self._agreed and self._version != wire.PROTOCOL:
-            self._version, self._hello_due_ns = wire.PROTOCOL, None  # it knows more: greet again, now
+        newest = 3 if capabilities & wire.CAN_VERSION_3 else 2 if capabilities & wire.CAN_VERSION_2 else wire.OLDEST
+        self._agreed = protocol == newest
+        if not self._agreed and self._version != newest:
+            self._version, self._hello_due_ns = newest, None  # it knows more: greet again, now
+        self._orders.parameters = count
         if self._hello and boot_id == self._boot_id:
             return  # a greeting that was said already
         known = self.greeting

@@ -39,6 +39,7 @@ from hw.twin.scene import (
     AnyEvent,
     Battery,
     CastOff,
+    Crossed,
     CurrentSet,
     FirmwareHang,
     GyroDead,
@@ -112,6 +113,7 @@ class Dive:
         self._mounting, self._size_m, self._surface_m = fleet.body, np.array(fleet.tank.size_m), surface_m
         self._flow = Flow(seed, self.robots, scene.current, scene.tether_pull)
         self._pulses_us = np.zeros((len(robots), 8))  # no pulses before a board drives its pins
+        self._wired = np.tile(np.arange(8), (len(robots), 1))  # the pin that each thruster hangs on
         self._to_show: list[tuple[int, int, Act]] = []  # pins to come: since when in us, number of the robot
         self._nominal_deg = np.zeros((len(robots), 4))
         self._water_pa = np.zeros((len(robots), 4))
@@ -211,7 +213,7 @@ class Dive:
             self.states[i]["held"] = 0  # the crew lets the robot go, once
 
     def _show(self, i: int, act: Act) -> None:
-        self._pulses_us[i] = act.pulses_us
+        self._pulses_us[i] = np.take(act.pulses_us, self._wired[i])
         self.lamps.asked[i] = act.lamp_permille / 1000
         for k, servo_us in enumerate(act.servos_us):
             if servo_us:  # a servo without pulses stays where it is
@@ -253,6 +255,17 @@ class Dive:
     def turn_kill_switch(self, robot: str, to: Literal["open", "closed", "broken"]) -> None:
         """Open it: its thrusters have no pulses, whatever the firmware does. A broken wire stays open."""
         self.escs.turn(self._index(robot), to)
+
+    def cross_thrusters(self, robot: str, first: int, second: int) -> None:
+        """Two of thrusters 1 to 8 hang on each other's pins."""
+        wired = self._wired[self._index(robot)]
+        wired[[first - 1, second - 1]] = wired[[second - 1, first - 1]]
+
+    def cross_sensors(self, robot: str, first: int, second: int) -> None:
+        """Two of pressure sensors 1 to 4 hang on each other's channels, each with its own tare."""
+        i = self._index(robot)
+        self.sensor_faults.cross(i, first, second)
+        self.tare_pa[i, [first - 1, second - 1]] = self.tare_pa[i, [second - 1, first - 1]]
 
     def unplug(self, robot: str, for_s: float) -> None:
         """Pull the serial cable."""
@@ -308,6 +321,10 @@ def apply(event: AnyEvent, dive: Dive) -> None:
             dive.stick_sensor(event.robot, event.sensor)
         case SensorOffset():
             dive.shift_sensor(event.robot, event.sensor, event.offset_m)
+        case Crossed(what="sensors"):
+            dive.cross_sensors(event.robot, *event.pair)
+        case Crossed():
+            dive.cross_thrusters(event.robot, *event.pair)
         case SensorWell():
             dive.mend_sensor(event.robot, event.sensor)
         case GyroDead() | GyroStuck():

@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from hw import board_files
-from hw.firmware import wire, wiring
+from hw.firmware import failsafe, wire, wiring
 from tests.hw.board.chip import Chip, Reset
 from tests.places import ROOT
 
@@ -63,7 +63,7 @@ class Bench:
 
 @pytest.fixture
 def bench(chip: Chip, hal_stm32: Any) -> Bench:
-    saved = json.dumps({"tare_pa": [106000.0] * 4, "pulse_frame_us": 2500})
+    saved = json.dumps({"tare_pa": [106000.0] * 4, "wiring": failsafe.WIRING, "pulse_frame_us": 2500})
     Path("flash.json").write_text(f"{saved}\n{zlib.crc32(saved.encode()):08x}\n")
     return Bench(chip, hal_stm32)
 

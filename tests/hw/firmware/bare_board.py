@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from hw.firmware import wire
+from hw.firmware import failsafe, wire
 from tests.hw.firmware.nominal_plant import AIR_PA, PA_PER_M
 
 FIRMWARE = Path(wire.__file__).parent
@@ -42,7 +42,7 @@ class BareHal:
         self.gravity: tuple[int, int] | None = None
         self.pulses_us = [1500] * 8
         self.servos_us, self.light_permille, self.armed = [1500] * 4, 0, 0
-        self.flash = {"tare_pa": [AIR_PA] * 4} if flash is None else flash
+        self.flash = {"tare_pa": [AIR_PA] * 4, "wiring": failsafe.WIRING} if flash is None else flash
         self.us, self.dt_us = 0, CYCLE_US
         self.to_board = b""
         self.from_board = bytearray()

@@ -11,6 +11,7 @@ import sys
 import time
 
 sys.path.insert(0, sys.argv[1])
+import failsafe
 import main
 import wire
 
@@ -83,7 +84,7 @@ class Hal:
         return bytes(12), 1, 1
 
     def load_flash(self):
-        return {"law": self.law, "tare_pa": [101325.0] * 4}
+        return {"law": self.law, "tare_pa": [101325.0] * 4, "wiring": failsafe.WIRING}
 
 
 def set_point(hal):

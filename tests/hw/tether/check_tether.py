@@ -4,6 +4,7 @@ import gc
 import sys
 
 sys.path.insert(0, sys.argv[1])
+import failsafe
 import frames
 import tether
 
@@ -54,7 +55,7 @@ control = Thing(
     ),
     law=Law(),
     set_point=Thing(age_us=0, seq=0, depth_100nm=0, tilt_100nrad=[0, 0], force_uN=[0, 0], yaw_uNm=0),
-    ladder=Thing(level=0),
+    ladder=failsafe.Ladder(),
     mode=0,
     leak=False,
     battery_low=False,

@@ -103,7 +103,7 @@ def test_orders_for_another_boot_are_stale_but_for_stops(desk):
 
 
 def test_neutral_pulses_and_the_law_are_parameters(put_on_desk, interpreter):
-    flash = {"tare_pa": [AIR_PA] * 4, "law": "pid", "zero_2_us": 1510, "net_weight_N": 2.0}
+    flash = {"tare_pa": [AIR_PA] * 4, "wiring": failsafe.WIRING, "law": "pid", "zero_2_us": 1510, "net_weight_N": 2.0}
     desk = put_on_desk(interpreter, flash)
     boot_id = desk.arm()
     assert value_of(desk, wire.PARAM_GET, boot_id, "law")[0] == 1
@@ -139,7 +139,7 @@ def test_mode_stabilise_leaves_depth_alone_until_the_host_is_silent(desk):
     assert desk.order(wire.ARM, boot_id) == wire.OK
     desk.set_point(depth_m=0.6)
     act = desk.tick(20)
-    assert all(abs(us - 1500) <= 31 for us in act[1:5]), "30 cm off, and no thrust"
+    assert abs(sum(act[1:5]) - 6000) <= 31, "30 cm off, and no lift: nudges come to nothing"
     desk.tick(60)
     assert desk.heard(wire.TELEM)[-1][3] >> wire.MODE_SHIFT == wire.HOLD
     assert desk.tick()[-1] == wire.ARMED
@@ -228,7 +228,7 @@ def test_a_wrong_tare_is_refused_and_the_old_one_stands(desk, wrong):
 def test_a_tare_lasts_twelve_hours(put_on_desk, interpreter, hours, checks):
     """The desk tells its clock in each set-point; flash was written hours before, on the far side of 2**32 ms."""
     made_ms = round(5_000 - hours * 3600e3) & 0xFFFFFFFF
-    desk = put_on_desk(interpreter, {"tare_pa": [AIR_PA] * 4, "tare_host_ms": made_ms})
+    desk = put_on_desk(interpreter, {"tare_pa": [AIR_PA] * 4, "wiring": failsafe.WIRING, "tare_host_ms": made_ms})
     boot_id = desk.greet()
     desk.tick(310)
     desk.set_point()

@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from hw.firmware import wire
+from hw.firmware import parameters, wire
 from tests.hw.desk import MICROPYTHON
 from tests.hw.firmware.bare_board import FIRMWARE, BareBoard
 
@@ -259,7 +259,7 @@ def test_the_pulse_frame_is_set_at_boot_and_when_the_parameter_is(board, monkeyp
     monkeypatch.setattr(board.hal, "begin_pulses", frames.append)
     board.reboot()
     assert frames == [5000]
-    number = len(board.control.values) - 1
+    number = parameters.NAMES.index("pulse_frame_us")
     for us in (2500.0, 20000.0, 2499.0, 3000.5):
         board.say(wire.PARAM_SET, 5, board.boot_id, number, 1, 0, us)
         board.tick()
