@@ -503,6 +503,7 @@ def test_a_robot_that_surfaces_for_what_it_found_is_not_called_back_as_one_whose
     robot = hovering
     robot.dive.scale_thruster("r1", 2, 0.0)
     robot.until(lambda: robot.ladder == SURFACE, 4.0)
+    robot.run(0.3)
     assert robot.heard("T2 gives little or nothing") and robot.telemetry[-1].flags & wire.FLAG_FOUND
     assert not surfacing_for_silence(robot.telemetry[-1])
     robot.until(lambda: not robot.armed, 10.0)
