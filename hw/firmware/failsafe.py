@@ -19,8 +19,8 @@ _ARM_TILT_100nrad = const(3490000)  # 20 degrees
 _ARM_PARITY_100nm = const(50000)  # 5 mm
 _ESC_NEUTRAL_US = const(3000000)  # an ESC arms after 3 s of neutral pulses
 _LOOP_LIMIT_US = const(9000)
-TARE_FOR_MS = 12 * 3600 * 1000  # the weather moves by 1 hPa, a centimetre of water, within hours
-TARE_AHEAD_MS = 600000  # a clock without a time server goes wrong by so much in months, and weather does not in minutes
+TARE_FOR_S = 12 * 3600  # the weather moves by 1 hPa, a centimetre of water, within hours
+TARE_AHEAD_S = 600  # a clock without a time server goes wrong by so much in months, and weather does not in minutes
 
 WIRING = 5184  # number of wiring.py's table: of another one `aucamp board check` knows nothing
 
@@ -229,7 +229,7 @@ def arm_faults(
     """Bit mask, in the order of wire.ARM_CHECKS, of all that speaks against arming; 0: go.
 
     hello: the handshake agreed; neutral: no planar push, no tilt is asked for; esc_us: for how long all pulses have
-    been neutral, and ESCs there to hear them; tare_old: it was made more than TARE_FOR_MS ago; killed: the loop of the
+    been neutral, and ESCs there to hear them; tare_old: it was made more than TARE_FOR_S ago; killed: the loop of the
     kill switch is open; unchecked: nobody has passed `aucamp board check` with this wiring.
     """
     checks = (

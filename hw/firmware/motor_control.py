@@ -40,11 +40,16 @@ class SetPoint:
         self.age_us = _NEVER_US
         self.ttl_us = 0
         self.seq = 0  # of the frame that brought it
-        self.host_ms = None  # the host's clock in it, modulo 2**32
+        self.host_time = None  # the host's clock in it, modulo 2**32: ms, or since version 3 tenths of a second
         self.depth_100nm = 0
         self.tilt_100nrad = [0, 0]  # roll, pitch
         self.force_uN = [0, 0]  # forward, left
         self.yaw_uNm = 0
+
+    def expire(self):
+        """As if none had come."""
+        self.age_us = _NEVER_US
+        self.host_time = None
 
     def is_neutral(self):
         return not (any(self.force_uN) or any(self.tilt_100nrad) or self.yaw_uNm)

@@ -139,7 +139,7 @@ class Tether:
         set_point.age_us = 0
         set_point.ttl_us = ttl_ms * 1000
         set_point.seq = seq
-        set_point.host_ms = host_high << 16 | host_low
+        set_point.host_time = host_high << 16 | host_low
         if self._control.ladder.level != failsafe.SURFACE:  # which ends by an order only
             if valid & _VALID_DEPTH:
                 set_point.depth_100nm = depth * 1000
@@ -169,7 +169,10 @@ class Tether:
 
     def _on_hello(self, protocol, schema, host_boot):
         self.hello = 0 < protocol <= _PROTOCOL and schema == frames.SCHEMA_CRC[protocol]
+        before = self._protocol
         self._protocol, says = (protocol, protocol) if self.hello else (1, _PROTOCOL)
+        if self._protocol != before and not self._control.state:
+            self._control.set_point.expire()  # its clock may count otherwise
         if host_boot != self._host_boot:  # another host: its request numbers begin again
             self._host_boot = host_boot
             self.orders.forget()
@@ -184,6 +187,10 @@ class Tether:
             self._control.state, self._control.values_crc, count, self._hal.capabilities,
         )
         # fmt: on
+
+    def host_per_s(self):
+        """How many of what the host's clock counts a second has."""
+        return 10 if self._protocol == _PROTOCOL else 1000
 
     def begin_pulses(self):
         """Let the thrusters' pulses come as often as the parameter says."""

@@ -11,7 +11,8 @@ except ImportError:  # beside it, as on a board
     from frames import *
     from parameters import TABLE as TABLE_OF_PARAMETERS
 
-PROTOCOL = 3  # the newest; 1 has no yaw rate, 2 fewer parameters; both ends still speak them
+# The newest; 1 has no yaw rate, 2 fewer parameters, and both tell the host's clock in ms, 3 in tenths of a second.
+PROTOCOL = 3
 OLDEST = 1
 MAX_PLAIN = 255  # bytes of a frame before COBS
 MAX_STUFFED = 257  # the same after COBS, without the closing zero
@@ -45,7 +46,7 @@ _FIELDS = (
     (
         SETPOINT,
         "SETPOINT",
-        "depth_100um roll_cdeg pitch_cdeg fx_mN fy_mN mz_100uNm servo_us_x4 light_permille valid ttl_ms host_ms",
+        "depth_100um roll_cdeg pitch_cdeg fx_mN fy_mN mz_100uNm servo_us_x4 light_permille valid ttl_ms host_time",
     ),
     (HELLO, "HELLO", "protocol schema_crc host_boot"),
     (
@@ -171,6 +172,8 @@ def schema_crc(protocol=PROTOCOL):
     rows = TABLE
     if protocol == 1:  # whose one telemetry had this name
         rows = [(row[0], "TELEM") + row[2:] if row[0] == TELEM_1 else row for row in TABLE if row[0] != TELEM]
+    if protocol < 3:  # where the host's clock counted ms
+        rows = [row[:3] + (row[3].replace("host_time", "host_ms"),) for row in rows]
     text = "\n".join(["%02x %s %s %s" % row for row in rows])
     if protocol >= 3:
         text += "\n" + " ".join(["%s %d" % (row[0], row[4]) for row in TABLE_OF_PARAMETERS])

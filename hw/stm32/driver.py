@@ -377,6 +377,7 @@ class Module(Protocol):
     def arm(self) -> None: ...
     def emergency_stop(self) -> None: ...
     def surface(self) -> None: ...
+    def tare(self) -> object: ...
 
 
 class Motors:
@@ -394,7 +395,10 @@ class Motors:
         self._told_ns = 0
 
     def obey(self, ordered: Ordered, now_ns: int) -> None:
-        """Do that from now on."""
+        """Do that from now on. A tare is done once, and refused by the module where its motors are on."""
+        if ordered == "tare":
+            self._module.tare()
+            return
         self._wish = ordered
         self._tell(now_ns)
 

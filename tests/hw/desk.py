@@ -120,7 +120,18 @@ class Desk:
     def set_point(self, depth_m: float = 0.3, servos: tuple[int, int, int, int] = (1500, 1500, 1500, 1500)) -> None:
         """Send a set-point, and tick until the telemetry shows that it has arrived."""
         seq = self.say(
-            wire.SETPOINT, round(depth_m * 1e4), 0, 0, 0, 0, 0, *servos, 300, wire.VALID_ALL, 500, self.now_us // 1000
+            wire.SETPOINT,
+            round(depth_m * 1e4),
+            0,
+            0,
+            0,
+            0,
+            0,
+            *servos,
+            300,
+            wire.VALID_ALL,
+            500,
+            self.now_us // 100_000,
         )
         self.until(lambda: any(told[30] == seq for told in (self.heard(wire.TELEM) or self.heard(wire.TELEM_1))[-1:]))
 

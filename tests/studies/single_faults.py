@@ -12,15 +12,23 @@ import random
 import sys
 import tempfile
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import Future
 from pathlib import Path
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
 
+from agent.clock.clock import SystemClock
+from agent.core.step_io import SetPoint, Telemetry
+from agent.ground.board import Bench
+from agent.process.command import Failed
 from hw.firmware import wire
 from hw.firmware.failsafe import DISARM, SURFACE
+from hw.stm32.driver import IDS, MODES, Mode
+from hw.stm32.protocol import Greeting, StatusText
+from hw.stm32.protocol import Outcome as Asked
 from hw.twin.physics.body import quaternion
 from hw.twin.scene import CurrentSet
 from tests.hw.firmware.diving_robot import HOVER, DivingRobot, diving_robot
@@ -110,6 +118,92 @@ CASES = {
 ESC_LATE = "ESC late"  # nothing goes wrong in a dive: it is not armed before ESCs have heard neutral
 
 
+class VirtualClock(SystemClock):
+    """A dive's, which goes on while somebody waits for it."""
+
+    def __init__(self, robot: DivingRobot) -> None:
+        self._robot = robot
+
+    def now_ns(self) -> int:
+        return self._robot.dive.now_ns
+
+    def wall_s(self, until_ns: int) -> float:
+        while self.now_ns() < until_ns:
+            self._robot.run(0.01)
+        return 0.0
+
+
+class VirtualBoard:
+    """What `aucamp board` does with a driver, done with a robot of the twin in virtual time."""
+
+    def __init__(self, robot: DivingRobot) -> None:
+        self._robot, self._told, self._said = robot, 0, 0
+        self.arm, self.ask = robot.protocol.arm, robot.protocol.ask
+
+    @property
+    def greeting(self) -> Greeting | None:
+        return self._robot.protocol.greeting
+
+    @property
+    def wants_armed(self) -> bool:
+        return self._robot.protocol.wants_armed
+
+    def send(self, set_point: SetPoint, _now_ns: int) -> None:
+        self._robot.asks = set_point
+
+    def drain(self) -> tuple[list[Telemetry], list[StatusText]]:
+        telemetry, said = self._robot.telemetry[self._told :], self._robot.said[self._said :]
+        self._told, self._said = len(self._robot.telemetry), len(self._robot.said)
+        return telemetry, [StatusText("info", text) for text in said]
+
+    def disarm(self) -> None:
+        self._robot.protocol.stop(wire.DISARM)
+
+    def mode(self, mode: Mode, thruster: int = 0) -> Future[Asked]:
+        return self.ask(wire.MODE, MODES.index(mode), thruster)
+
+    def parameter(self, name: str) -> Future[Asked]:
+        return self.ask(wire.PARAM_GET, IDS[name])
+
+    def set_parameter(self, name: str, value: float) -> Future[Asked]:
+        return self.ask(wire.PARAM_SET, IDS[name], 1, 0, value)
+
+    def save_parameters(self) -> Future[Asked]:
+        return self.ask(wire.PARAM_SAVE)
+
+
+def check(seed: int, wired: Hand = nothing, crew: Callable[[DivingRobot, str], None] | None = None) -> str:
+    """What `aucamp board check` finds in a robot whose wires nobody has checked: why it fails, or "". crew: somebody
+    beside the robot, who does what it says; without it thrusters alone are checked."""
+    with tempfile.TemporaryDirectory() as folder, diving_robot(Path(folder), seed=seed) as robot:
+        robot.dive.bodies["displaced_kg"] = robot.dive.bodies["mass_kg"] + 0.02  # trimmed to float
+        robot.dive.states["position_m"][0, 2] += 0.1
+        restart(robot, wired, {"wiring": 0})
+
+        def say(text: str) -> None:
+            if crew:
+                crew(robot, text)
+
+        bench = Bench(VirtualBoard(robot), "r1", VirtualClock(robot), say, 10.0)  # type: ignore[arg-type]
+        bench.greet()
+        try:
+            bench.check(crew is not None)
+        except Failed as failed:
+            return str(failed)
+        robot.asks = HOVER
+        robot.protocol.arm()
+        robot.until(lambda: robot.armed, 10.0)
+        return ""
+
+
+def restart(robot: DivingRobot, wired: Hand, burnt: Mapping[str, float] | None = None) -> None:
+    """Boot it anew with these wires, tared, and this in flash."""
+    wired(robot)
+    robot.board.close()
+    robot.board._burnt |= {"tare_pa": robot.dive.tare_pa[0].tolist(), **(burnt or {})}
+    robot.board.start()
+
+
 class Outcome(NamedTuple):
     """What came of a fault: after how long it was said by its name, what was said, where it ended, the largest tilt."""
 
@@ -125,10 +219,7 @@ def dive(case: Case, seed: int) -> Outcome:
         tempfile.TemporaryDirectory() as folder,
         diving_robot(Path(folder), moored=case.moored, seed=seed, imu=case.imu) as robot,
     ):
-        case.wired(robot)
-        robot.board._burnt["tare_pa"] = robot.dive.tare_pa[0].tolist()
-        robot.board.close()
-        robot.board.start()
+        restart(robot, case.wired)
         robot.protocol.arm()
         robot.until(lambda: bool(robot.telemetry) and robot.telemetry[-1].armed, 10.0)
         if case.breaks:
@@ -210,6 +301,9 @@ def main(words: Sequence[str]) -> int:
             "SURFACE" if e.level == SURFACE else "DISARM" if e.level == DISARM else f"{e.level}" for e in found
         )
         missed += len(found) - len(in_time)
+        if name != ESC_LATE and CASES[name].wired is not nothing:
+            shown = Counter(check(seed, CASES[name].wired).removeprefix("r1: ") for seed in seeds)
+            print(f"    `aucamp board check`: {dict(shown)}", flush=True)  # noqa: T201
         tilt = max(each.tilt_deg for each in found)
         print(  # noqa: T201
             f"{name:28} named within 3 s {len(in_time):2} of {len(found)}, slowest {slowest:.2f} s, "

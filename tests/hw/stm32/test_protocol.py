@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from agent.clock.clock import SystemClock
 from agent.core.config import ConfigError, dump
 from agent.core.step_io import SetPoint
-from agent.ground.console import reboot
+from agent.ground.board import run as run_board
 from agent.process.command import Failed
 from hw.firmware import failsafe, parameters, wire
 from hw.stm32.driver import Stm32
@@ -208,7 +208,7 @@ def test_after_the_watchdog_the_board_is_rebooted_and_nothing_is_latched(started
     desk, _, board_time = started(wire.BY_WATCHDOG)
     board_time.start()
     said: list[str] = []
-    reboot(fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", said.append)
+    run_board("reboot", fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", said.append)
     assert any("reset by watchdog: reboot by order" in line for line in said)
     assert said[-1].startswith("r1: rebooted; arm it")
 
@@ -217,7 +217,7 @@ def test_a_board_that_latches_again_says_why(started, tmp_path):
     desk, _, board_time = started(flash={"law": "pip"})
     board_time.start()
     with pytest.raises(Failed, match=r"latched again \(board: flash: law = pip"):
-        reboot(fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", lambda line: None)
+        run_board("reboot", fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", lambda line: None)
 
 
 def test_a_robot_with_its_motors_on_is_left_to_itself(started, tmp_path):
@@ -227,13 +227,13 @@ def test_a_robot_with_its_motors_on_is_left_to_itself(started, tmp_path):
     desk.listen = lambda: None
     board_time.start()
     with pytest.raises(Failed, match="its motors are on"):
-        reboot(fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", lambda line: None)
+        run_board("reboot", fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", lambda line: None)
     assert pins[-1] == wire.ARMED and min(pins[1:5]) > 1500, "and goes up"
 
 
 def test_nobody_there_is_told(tmp_path):
     with pytest.raises(Failed, match=r"r1: no board answers \(.*No such file"):
-        reboot(fleet_file(tmp_path, str(tmp_path / "nothing")), "r1", lambda line: None, limit_s=0.5)
+        run_board("reboot", fleet_file(tmp_path, str(tmp_path / "nothing")), "r1", lambda line: None, limit_s=0.5)
 
 
 def test_a_refusal_to_arm_names_the_way_out():

@@ -172,7 +172,7 @@ def test_a_set_point_is_taken_over_without_a_number_that_takes_memory(board, tet
         asked = board.control.set_point
         assert board.faults == 0 and asked.depth_100nm == 1000 * value and asked.force_uN == [1000 * value] * 2
         assert asked.tilt_100nrad == pytest.approx([math.radians(value * 0.01) * 1e7] * 2, rel=3e-6, abs=1.0)
-        assert (asked.yaw_uNm, asked.ttl_us, asked.host_ms) == (100 * value, 1000 * ms, 0xFFFFFFFF - ms)
+        assert (asked.yaw_uNm, asked.ttl_us, asked.host_time) == (100 * value, 1000 * ms, 0xFFFFFFFF - ms)
         assert board.hal.servos_us == [us] * 4 and board.hal.light_permille == 1000
 
 
