@@ -36,6 +36,7 @@ WORDS_S = 1.0  # what is wrong with this boot, a board tells whoever greets it
 LOOK_S = 0.05
 HANDS_S = 60.0  # a person has to turn a switch, or to press a corner down
 
+CLOCK = 0.01  # share that a board's may differ: in the 20 s that pulses take, frames come late by less
 # A robot that is to be pressed down: one corner by so much more than the others.
 PRESSED_M = 0.02
 CORNERS = ("front left", "back left", "back right", "front right")
@@ -107,6 +108,7 @@ class Bench:
         self._asks = SetPoint(depth_m=0.0)
         self._said = "not a word"  # the newest line of the board, or about it
         self._track: list[Telemetry] = []
+        self._first: Telemetry | None = None
         self.pulsing = False  # this program may have motors on
 
     def greet(self) -> None:
@@ -168,10 +170,22 @@ class Bench:
             self._check_switch()
             self._check_sensors()
         leans_m = self._pulses()
+        self._check_clock()
         if wrong := faults_of(leans_m):
             raise Failed(f"{self._name}: {' or '.join(wrong)}; put that right, then check again")
         self._save({"wiring": WIRING})
         self._tell("passed: the wires are where the drawing has them; it may be armed")
+
+    def _check_clock(self) -> None:
+        """Against this computer's, since the greeting: pulses are as wrong as the board's crystal."""
+        assert self._first is not None and self._newest is not None
+        board_s = ((self._newest.board_us - self._first.board_us) & 0xFFFFFFFF) * 1e-6
+        ours_s = (self._newest.t_ns - self._first.t_ns) * 1e-9
+        if abs(board_s / ours_s - 1.0) > CLOCK:
+            ratio = board_s / ours_s
+            raise Failed(
+                f"{self._name}: its clock runs {ratio:.3f} times as fast as ours; flash the build for its crystal"
+            )
 
     def _check_switch(self) -> None:
         self._tell("open the kill switch")
@@ -283,7 +297,7 @@ class Bench:
             telemetry, lines = self._board.drain()
             self._track += telemetry
             for told in telemetry:
-                self._newest = told
+                self._newest, self._first = told, self._first or told
                 self._status = self._status if told.current_a is UNSET else told
             for line in lines:
                 self._said = line.text

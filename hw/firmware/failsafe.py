@@ -19,15 +19,12 @@ _ARM_TILT_100nrad = const(3490000)  # 20 degrees
 _ARM_PARITY_100nm = const(50000)  # 5 mm
 _ESC_NEUTRAL_US = const(3000000)  # an ESC arms after 3 s of neutral pulses
 _LOOP_LIMIT_US = const(9000)
-TARE_FOR_S = 12 * 3600  # the weather moves by 1 hPa, a centimetre of water, within hours
-TARE_AHEAD_S = 600  # a clock without a time server goes wrong by so much in months, and weather does not in minutes
 
 WIRING = 5184  # number of wiring.py's table: of another one `aucamp board check` knows nothing
 
 # Nudges of T1 to T4, cycles; how late thrusters and law show them; how much of them is a sign.
 _NUDGE_PART = const(23)
 _NUDGE_LATE = const(6)
-NUDGE_SHIFT = 5  # of the full thrust
 _WEAK_SHOWS = const(5)
 _CROSSED_SHOWS = const(14)
 
@@ -44,8 +41,12 @@ _TILTED = const(8)
 _TWO_BAD = const(9)
 STOP, PARAMETERS, WATCHDOG, FAULT = 10, 11, 12, 13
 KILLED = 14
-NOT_HOLDING, OVERTURNED, CONTRADICTED = 15, 16, 17
-WEAK, REVERSED, CROSSED = 18, 22, 26  # of T1; the next three are T2 to T4, or pairs round the hull
+_NOT_HOLDING = const(15)
+_OVERTURNED = const(16)
+_CONTRADICTED = const(17)
+_WEAK = const(18)  # T1; the next three are T2 to T4, or pairs round the hull
+_REVERSED = const(22)
+_CROSSED = const(26)
 
 _ERROR_100nm = const(500000)  # 5 cm, 8 degrees: with all thrust spent on it, that is not held
 _ERROR_100nrad = const(1400000)
@@ -105,7 +106,7 @@ class Ladder:
         if plane.bad_count >= 2:
             self._climb(DISARM, _TWO_BAD)
         elif plane.upside_down or self._over_us >= _OVER_FOR_US:
-            self._climb(DISARM, OVERTURNED)
+            self._climb(DISARM, _OVERTURNED)
         elif plane.disagree and not -_USELESS_100nm < plane.parity_100nm < _USELESS_100nm:
             self._climb(DISARM, _SENSORS)
         elif self._tilt_us >= _TILT_FOR_US:
@@ -124,9 +125,9 @@ class Ladder:
         elif plane.disagree:
             self._climb(SURFACE, _SENSORS)
         elif plane.leans:
-            self._climb(SURFACE, CONTRADICTED)
+            self._climb(SURFACE, _CONTRADICTED)
         elif self._helpless_us >= _NOT_HOLDING_US:
-            self._climb(SURFACE, NOT_HOLDING)
+            self._climb(SURFACE, _NOT_HOLDING)
         elif age_us > _SURFACE_AFTER_US:
             self._climb(SURFACE, _SILENT)
         elif age_us > min(HOLD_AFTER_US, ttl_us):
@@ -136,20 +137,19 @@ class Ladder:
         return self.level
 
     def watch(self, dt_us, depth_100nm, tilt_100nrad, saturated, push):
-        """What control came to in this cycle: the largest errors, whether all thrust was spent, and the push that the
-        law believes in, uN down and uNm. Returns the level."""
+        """What control came to since the last look: the largest errors, whether all thrust was spent, and the push that
+        the law believes in, uN down and uNm."""
         far = depth_100nm > _ERROR_100nm or tilt_100nrad > _ERROR_100nrad
         self._helpless_us = self._helpless_us + dt_us if far and saturated else 0
         _, roll, pitch = push
         self._moment_us = self._moment_us + dt_us if max(abs(roll), abs(pitch)) > _MOMENT_uNm else 0
         if self._moment_us >= _PUSHED_US:
             self.suspect(pushed_by(*push))
-        return self.level
 
     def suspect(self, reason):
         """Something does not do what it is told: up, or, where control pushes the wrong way, off."""
         if self.level < SURFACE:
-            self._climb(DISARM if REVERSED <= reason < CROSSED else SURFACE, reason)
+            self._climb(DISARM if _REVERSED <= reason < _CROSSED else SURFACE, reason)
 
     def _climb(self, level, reason):
         self.level = level
@@ -173,8 +173,8 @@ class Probe:
             return 0
         return -1 if _NUDGE_PART <= at < 3 * _NUDGE_PART else 1
 
-    def step(self, roll, pitch, full, quiet):
-        """End a cycle with the moments that the law believes in, uNm, and the full thrust, uN. What does not do what it
+    def step(self, roll, pitch, full_mN, quiet):
+        """End a cycle with the moments that the law believes in, uNm, and the full thrust, mN. What does not do what it
         is told, as an index of wire.REASONS, where two nudges in a row have shown the same; else 0. A nudge that was
         not given in quiet shows nothing: a robot on its way moves anyway."""
         self._at = (self._at + 1) % self._every
@@ -187,7 +187,7 @@ class Probe:
             self._roll += roll
             self._pitch += pitch
         elif late == 4 * _NUDGE_PART:
-            full >>= 10
+            full = full_mN * 125 >> 7  # of uN, 1024 at a time
             named = _moved(self._roll * 5 // (24 * full), self._pitch * 5 // (32 * full))
             if not self._quiet:
                 named = 0
@@ -204,10 +204,10 @@ def _moved(roll, pitch):
     big, small = max(abs(roll), abs(pitch)), min(abs(roll), abs(pitch))
     if big >= _CROSSED_SHOWS and big >= 3 * small:
         if big == abs(roll):
-            return CROSSED + (3 if roll > 0 else 1)
-        return CROSSED + (2 if pitch > 0 else 0)
+            return _CROSSED + (3 if roll > 0 else 1)
+        return _CROSSED + (2 if pitch > 0 else 0)
     if small >= _WEAK_SHOWS and 2 * big <= 5 * small:
-        return WEAK + ((3 if pitch > 0 else 0) if roll > 0 else (2 if pitch > 0 else 1))
+        return _WEAK + ((3 if pitch > 0 else 0) if roll > 0 else (2 if pitch > 0 else 1))
     return 0
 
 
@@ -216,11 +216,11 @@ def pushed_by(down, roll, pitch):
     roll, pitch = roll // 6, pitch // 8
     big, small = max(abs(roll), abs(pitch)), min(abs(roll), abs(pitch))
     if 2 * big > 5 * small:
-        return CONTRADICTED
+        return _CONTRADICTED
     lifts = down < 0
     if (roll > 0) == (pitch > 0):
-        return REVERSED + (1 if lifts == (roll > 0) else 3)
-    return REVERSED + (0 if lifts == (roll > 0) else 2)
+        return _REVERSED + (1 if lifts == (roll > 0) else 3)
+    return _REVERSED + (0 if lifts == (roll > 0) else 2)
 
 
 def arm_faults(
@@ -229,7 +229,7 @@ def arm_faults(
     """Bit mask, in the order of wire.ARM_CHECKS, of all that speaks against arming; 0: go.
 
     hello: the handshake agreed; neutral: no planar push, no tilt is asked for; esc_us: for how long all pulses have
-    been neutral, and ESCs there to hear them; tare_old: it was made more than TARE_FOR_S ago; killed: the loop of the
+    been neutral, and ESCs there to hear them; tare_old: it was made more than 12 h ago; killed: the loop of the
     kill switch is open; unchecked: nobody has passed `aucamp board check` with this wiring.
     """
     checks = (

@@ -2,9 +2,9 @@
 import sys
 from micropython import const
 
-import failsafe
-
 _TIME_UNKNOWN = const(-1)
+_TARE_FOR_S = const(43200)  # the weather moves by 1 hPa, a centimetre of water, within hours
+_TARE_AHEAD_S = const(600)  # a clock without a time server goes wrong by so much in months, and weather in hours
 _HOST_ROUND = const(0x100000000)  # where the host's clock begins again
 _TARE_TIMES = {1000: "tare_host_ms", 10: "tare_host_ds"}  # by how many of them a second has
 
@@ -61,7 +61,7 @@ class Flash:
         self._tared_now = True
 
     def tare_is_old(self, host_time, per_s):
-        """Made before this boot and not within TARE_FOR_S, as far as anybody knows.
+        """Made before this boot and not within 12 h, as far as anybody knows.
 
         The board has no calendar. The milliseconds of hosts of versions 1 and 2 come round after 49 days, the tenths of
         a second of version 3 after 13 years; the one says nothing of the other. A tare that was written into flash
@@ -75,4 +75,4 @@ class Flash:
         if host_time is None or not isinstance(made, int) or made == _TIME_UNKNOWN:
             return True
         age = (host_time - made) & 0xFFFFFFFF
-        return failsafe.TARE_FOR_S * per_s < age < _HOST_ROUND - failsafe.TARE_AHEAD_S * per_s
+        return _TARE_FOR_S * per_s < age < _HOST_ROUND - _TARE_AHEAD_S * per_s

@@ -76,7 +76,8 @@ class Hal(pins.Pins):
         self.dt_us = _CYCLE_US  # since the cycle before
         self.ticks = 1  # the same, in ticks
         self.late = 0  # ticks lost since boot, modulo 65536
-        self._fired = self._taken = 0  # ticks since boot, modulo 2**30: so that now_us knows no seam
+        self._fired = self._taken = 0  # ticks since boot, modulo 2**30
+        self.us_low = self.us_high = 0  # of now_us, 16 bits each: beyond 30 bits a number is an object
         self._fired_at = self._began = ticks_us()
         self._safe = _SAFE_CYCLES
         self._watchdog = None
@@ -112,6 +113,9 @@ class Hal(pins.Pins):
         fired = self._fired
         ticks = (fired - self._taken) & 0x3FFFFFFF
         self._taken = fired
+        low = self.us_low + ticks * _CYCLE_US
+        self.us_low = low & 0xFFFF
+        self.us_high = (self.us_high + (low >> 16)) & 0xFFFF
         if ticks != self.ticks:
             self.ticks = ticks
             self.dt_us = ticks * _CYCLE_US
@@ -142,7 +146,7 @@ class Hal(pins.Pins):
 
     def now_us(self):
         """The board's clock at this cycle's tick, 32 bits."""
-        return self._taken * _CYCLE_US & 0xFFFFFFFF
+        return self.us_high << 16 | self.us_low
 
     def cycle_us(self):
         """Since this cycle's tick: at its end, the whole of it, with buses and collection."""

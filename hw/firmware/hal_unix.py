@@ -37,7 +37,7 @@ class Hal:
         self._tick_view = memoryview(self._tick)
         self._act = bytearray(bus.ACT_SIZE)
         self._begun = False
-        self._now_us = self._tick_us = 0
+        self._now_us = self._tick_us = self.us_low = self.us_high = 0
         self._frame_us = FRAME_US
         self._times = [int(ns) for ns in (os.getenv(bus.TIMES) or "0 0 0 0 0 0 0").split()]
         self._percent = 100
@@ -74,6 +74,7 @@ class Hal:
         if self._open_loop:
             self._killed = True
         self._tick_us = self._now_us - self._waited_us
+        self.us_low, self.us_high = self._tick_us & 0xFFFF, self._tick_us >> 16 & 0xFFFF
         self.ticks = (self._tick_us - before_us) // bus.TICK_US if before_us else 1
         self.dt_us = self.ticks * bus.TICK_US
         self.late = (self.late + self.ticks - 1) & 0xFFFF

@@ -28,6 +28,8 @@ _TICKS_AT_ONCE = const(10)  # that a law makes up for, where cycles were lost
 # Below this no ESC lives. One that is plugged in plays its tunes for so long before it hears what is neutral.
 _ESC_LIVES_MV = const(6000)
 _ESC_STARTS_US = const(2000000)
+_WATCH_US = const(40000)
+_NUDGE_SHIFT = const(5)  # of the full thrust
 _QUIET_100nm = const(300000)  # where a robot within 3 cm and 10 degrees is at rest
 _QUIET_100nrad = const(1740000)
 _BENCH_US = const(60)  # over neutral: a propeller in air turns visibly and slowly
@@ -89,6 +91,8 @@ class Control:
         self._want = [0] * 3
         self._realised = [0] * 3
         self._push = [0] * 3
+        self._unwatched_us = self._cut = 0  # since the last look; whether thrust was cut meanwhile
+        self._quiet = False  # at the last look the robot was at rest
         self.values = []  # of the parameters; configure() comes before anything else
         self.law = None
 
@@ -249,7 +253,7 @@ class Control:
         if thrust.flat(set_point.force_uN[0], set_point.force_uN[1], set_point.yaw_uNm, full, forces):
             self.saturated |= 2
         probe = self.probe
-        nudge = probe.sign() * (full >> failsafe.NUDGE_SHIFT) if probe else 0
+        nudge = probe.sign() * (full >> _NUDGE_SHIFT) if probe else 0
         if not nudge or self.saturated:
             thrust.pulses(forces, self.neutral_us, full, self.pulses_us)
             return
@@ -262,18 +266,26 @@ class Control:
             nudge = -nudge
 
     def _watch(self, dt_us):
-        """Whether what was asked for comes to anything."""
+        """Whether what was asked for comes to anything: nudges in each cycle, the rest in one of four."""
+        self._unwatched_us += dt_us
+        self._cut |= self.saturated & 1
+        if self._unwatched_us >= _WATCH_US:
+            self._look()
+        probe, law = self.probe, self.law
+        if probe and self.ladder.level < failsafe.SURFACE:
+            reason = probe.step(law.disturbance(1), law.disturbance(2), self._thrust_max_mN, self._quiet)
+            if reason:
+                self.ladder.suspect(reason)
+
+    def _look(self):
         y, ref, law, push = self._y, self._ref, self.law, self._push
         for i in range(3):
             push[i] = law.disturbance(i)
-        off = max(abs(y[1] - ref[1]), abs(y[2] - ref[2]))
-        deep, cut = abs(y[0] - ref[0]), self.saturated & 1
-        level = self.ladder.watch(dt_us, deep, off, cut, push)
-        if self.probe and level < failsafe.SURFACE:
-            quiet = not cut and deep < _QUIET_100nm and off < _QUIET_100nrad
-            reason = self.probe.step(push[1], push[2], self._thrust_max_mN * 1000, quiet)
-            if reason:
-                self.ladder.suspect(reason)
+        deep, roll, pitch = abs(y[0] - ref[0]), abs(y[1] - ref[1]), abs(y[2] - ref[2])
+        off = roll if roll > pitch else pitch
+        self.ladder.watch(self._unwatched_us, deep, off, self._cut, push)
+        self._quiet = not self._cut and deep < _QUIET_100nm and off < _QUIET_100nrad
+        self._unwatched_us = self._cut = 0
 
     def arm_faults(self, hello, loop_max_us):
         """What speaks against arming, as the bit mask of failsafe.arm_faults.

@@ -235,9 +235,9 @@ class Tether:
             depth, push, roll_push, pitch_push = [
                 min(max(value, -32768), 32767) for value in (depth, push, roll_push, pitch_push)
             ]
-        us, words = hal.now_us(), self._words
-        words[0] = us & 0xFFFF
-        words[1] = us >> 16
+        words = self._words
+        words[0] = hal.us_low
+        words[1] = hal.us_high
         words[2] = control.state | control.ladder.level << 8
         words[3] = flags
         words[4] = roll

@@ -90,15 +90,17 @@ def test_a_cycle_s_length_counts_from_its_tick_with_the_bus_and_what_was_waited(
 
 def test_the_clock_has_no_seam(hal, chip):
     """After 2**32 us, after 2**30 us of the port's clock (which the chip here passes first), after 2**30 ticks."""
-    for fired in (429_496, 2**30 - 3):
+    for fired, high in ((429_496, 0xFFFF), (2**30 - 3, 7)):
         hal.wait_tick()
         hal._fired = hal._taken = fired
+        hal.us_high, hal.us_low = high, 60_000
         hal.wait_tick()
         last_us = hal.now_us()
         for _ in range(5):
             hal.wait_tick()
             now_us = hal.now_us()
             assert (now_us - last_us) & 0xFFFFFFFF == 10_000 and 0 <= now_us < 2**32 and 0 < hal.cycle_us() < 2000
+            assert 0 <= hal.us_low < 2**16 and 0 <= hal.us_high < 2**16, "no number of telemetry takes memory"
             last_us = now_us
     assert hal.late == 0 and 0 <= hal._fired < 2**30
 

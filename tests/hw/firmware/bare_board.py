@@ -73,6 +73,14 @@ class BareHal:
     def yaw_rate_cdeg_s(self) -> int:
         return self.yaw_rate
 
+    @property
+    def us_low(self) -> int:
+        return self.us & 0xFFFF
+
+    @property
+    def us_high(self) -> int:
+        return self.us >> 16 & 0xFFFF
+
     def now_us(self) -> int:
         return self.us & 0xFFFFFFFF
 

@@ -50,6 +50,14 @@ class Hal:
     def gravity_mg(self):
         return 1000, 0
 
+    @property
+    def us_low(self):
+        return self.us & 0xFFFF
+
+    @property
+    def us_high(self):
+        return self.us >> 16
+
     def now_us(self):
         return self.us
 

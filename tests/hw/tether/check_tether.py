@@ -42,7 +42,7 @@ def taken(act):
     return gc.mem_alloc() - before
 
 
-hal = Hal(late=0, servos_us=[1500] * 4, light_permille=0, battery_mv=15000)
+hal = Hal(late=0, servos_us=[1500] * 4, light_permille=0, battery_mv=15000, us_low=16960, us_high=15)
 control = Thing(
     plane=Thing(
         bad=0,
