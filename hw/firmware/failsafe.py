@@ -25,7 +25,7 @@ WIRING = 5184  # number of wiring.py's table: of another one `aucamp board check
 # Nudges of T1 to T4, cycles; how late thrusters and law show them; how much of them is a sign.
 _NUDGE_PART = const(23)
 _NUDGE_LATE = const(6)
-_WEAK_SHOWS = const(5)
+_WEAK_SHOWS = const(4)
 _CROSSED_SHOWS = const(14)
 
 # Indices of wire.REASONS
@@ -206,7 +206,7 @@ def _moved(roll, pitch):
         if big == abs(roll):
             return _CROSSED + (3 if roll > 0 else 1)
         return _CROSSED + (2 if pitch > 0 else 0)
-    if small >= _WEAK_SHOWS and 2 * big <= 5 * small:
+    if small >= _WEAK_SHOWS and big < 3 * small:
         return _WEAK + ((3 if pitch > 0 else 0) if roll > 0 else (2 if pitch > 0 else 1))
     return 0
 

@@ -107,4 +107,4 @@ def test_the_firmware_keeps_its_cycle(monkeypatch):
 
 def test_the_twin_s_times_are_those_of_today_s_firmware():
     """python -m tests.studies.board --write, on a computer with QEMU."""
-    assert imposed.hint(FIRMWARE) == ""
+    assert imposed.hint(tools.FIRMWARE) == ""
