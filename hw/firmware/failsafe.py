@@ -144,7 +144,9 @@ class Ladder:
         _, roll, pitch = push
         self._moment_us = self._moment_us + dt_us if max(abs(roll), abs(pitch)) > _MOMENT_uNm else 0
         if self._moment_us >= _PUSHED_US:
-            self.suspect(pushed_by(*push))
+            reason = pushed_by(*push)
+            if reason != _CONTRADICTED or self._moment_us >= _NOT_HOLDING_US:  # nudges may still say whose it is
+                self.suspect(reason)
 
     def suspect(self, reason):
         """Something does not do what it is told: up, or, where control pushes the wrong way, off."""
