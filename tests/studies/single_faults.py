@@ -30,6 +30,7 @@ from hw.stm32.driver import IDS, MODES, Mode
 from hw.stm32.protocol import Greeting, StatusText
 from hw.stm32.protocol import Outcome as Asked
 from hw.twin.physics.body import quaternion
+from hw.twin.physics.sensors import PA_PER_M
 from hw.twin.scene import CurrentSet
 from tests.hw.firmware.diving_robot import HOVER, DivingRobot, diving_robot
 
@@ -71,15 +72,13 @@ def overturn(robot: DivingRobot) -> None:
 
 def drift(*pair: int) -> Hand:
     """2 cm/s, up to 7 cm."""
-    told = Counter[int]()
 
-    def once(robot: DivingRobot) -> None:
-        if told[id(robot)] < 350:
-            told[id(robot)] += 1
+    def tick(robot: DivingRobot) -> None:
+        if robot.dive.sensor_faults._offset_pa[0, pair[0] - 1] < 0.07 * PA_PER_M:
             for sensor in pair:
                 robot.dive.shift_sensor("r1", sensor, 0.0002)
 
-    return once
+    return tick
 
 
 def late_battery(robot: DivingRobot) -> None:
