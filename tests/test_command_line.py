@@ -53,7 +53,7 @@ MISTAKES = [
     (["calibrate", "body", "r1.mcap", TANK], "calibrate body: takes no FLEET"),
     (["export", "--out", "x"], "Missing argument 'kind'. Choose from: csv, mp4, jsonl"),
     (["bridge", "ros2", TANK, "--origin", "47,8"], "bridge ros2: takes no --origin"),
-    (["board", "stop", TANK, "--robot", "r1"], "'stop' is not one of 'reboot'"),
+    (["board", "stop", TANK, "--robot", "r1"], "'stop' is not one of 'info', 'tare', 'check'"),
     (["demo", "--out", "/proc"], "not empty"),
     (["demo", "--out", "/proc/new"], "/proc/new: cannot be written"),
     (["record", "nowhere.toml", "--out", "x.mcap"], "no such file"),

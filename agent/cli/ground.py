@@ -325,17 +325,42 @@ def bridge(
 # Orders to a robot's control module, whose agent does not run.
 
 
-@app.command(no_args_is_help=True, epilog="Example: aucamp board reboot fleet.toml --robot r1")
+BOARD_TAKES = {"params": ("--set",), "tare": ("--depth",), "check": ("--no-hands",)}
+
+
+@app.command(no_args_is_help=True, epilog="Example: aucamp board check fleet.toml --robot r1")
 def board(
-    order: Annotated[Literal["reboot"], typer.Argument(help="What its control module shall do.")],
+    order: Annotated[
+        Literal["info", "tare", "check", "params", "reboot"], typer.Argument(help="What its control module shall do.")
+    ],
     fleet: FleetFile,
     robot: RobotName,
+    set_: Annotated[
+        list[str] | None,
+        typer.Option("--set", metavar="NAME=VALUE", help="params: set this one and save it; again for more."),
+    ] = None,
+    depth: Annotated[
+        float | None, typer.Option(metavar="M", help="tare: how deep the sensors are; 0, in air, if not given.")
+    ] = None,
+    no_hands: Annotated[
+        bool, typer.Option("--no-hands", help="check: thrusters alone, nobody turns the switch or presses corners.")
+    ] = False,
 ) -> None:
-    """Begin a control module anew, whose agent does not run: what latched it (watchdog, emergency stop at the bench) is
-    over, what was set and not saved is lost.
+    """A control module whose agent does not run.
 
-    Look at the robot first: it was latched for a reason. Refused while its motors are on.
+    \b
+    info      what it says of itself
+    tare      before each dive: what its sensors read in air, lying still
+    check     after each work on wires, in the water: kill switch, sensors, T1
+              to T4, and which wire is wrong; without it no module arms
+    params    its parameters; set ones are saved
+    reboot    begin anew: what latched it is over, what was set and not saved
+              is lost. Look at the robot first: it was latched for a reason
+
+    Refused while its motors are on.
     """
-    from agent.ground.console import reboot
+    from agent.ground import board as bench
 
-    reboot(fleet, robot, complain)
+    given: dict[str, object] = {"--set": set_ or None, "--depth": depth, "--no-hands": no_hands or None}
+    refuse_options(f"board {order}", given, BOARD_TAKES.get(order, ()))
+    bench.run(order, fleet, robot, complain, bench.numbers(set_ or ()), depth or 0.0, not no_hands)

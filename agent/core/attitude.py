@@ -6,6 +6,8 @@ from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from msgspec import UNSET
+
 from agent.core.step_io import Telemetry
 from agent.core.step_transaction import Revertible
 
@@ -26,6 +28,7 @@ class AttitudeLog(Revertible):
 
     def __init__(self) -> None:
         self._log: deque[Telemetry] = deque()
+        self.status: Telemetry | None = None  # the newest that has what comes once a second
 
     @property
     def newest(self) -> Telemetry | None:
@@ -33,6 +36,8 @@ class AttitudeLog(Revertible):
 
     def add(self, telemetry: Telemetry) -> None:
         self._log.append(telemetry)
+        if telemetry.heap_free_b is not UNSET:
+            self.status = telemetry
         while self._log[0].t_ns < telemetry.t_ns - KEEP_NS:
             self._log.popleft()
 

@@ -349,6 +349,16 @@ class State(Message, frozen=True, kw_only=True):
     armed: Annotated[bool | None, means("whether motors may turn; null: nobody knows, for the module is silent")] = None
     battery_v: Annotated[float | UnsetType, means("V, as its control module last said; left out: it never has")] = UNSET
     ladder: Annotated[int | UnsetType, means("the module's failsafe level, 0 is normal; left out: likewise")] = UNSET
+    sensors_bad: Annotated[
+        tuple[int, ...] | UnsetType, means("pressure sensors, 1 to 4, that the module does not believe; left out: none")
+    ] = UNSET
+    saturated: Annotated[
+        str | UnsetType, means("thrusters that give all they can: `T1-T4`, `T5-T8` or both; left out: none")
+    ] = UNSET
+    unsaved: Annotated[bool | UnsetType, means("true: parameters are set and not saved; left out: none are")] = UNSET
+    current_a: Annotated[float | UnsetType, means("A, drawn from its battery; left out: it has not said")] = UNSET
+    water_c: Annotated[float | UnsetType, means("degrees Celsius, at its pressure sensors; left out: likewise")] = UNSET
+    heap_free_kb: Annotated[float | UnsetType, means("kB of its module's memory; left out: likewise")] = UNSET
     refused: Annotated[dict[str, int], means("reason -> count of messages not believed")] = {}
     faults: Annotated[tuple[str, ...], means("what is wrong now: `kind`, or `kind: what of it`")] = ()
 

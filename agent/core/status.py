@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from msgspec import UNSET
 
@@ -12,7 +12,7 @@ from agent.core.estimation.interface import EstimateCache
 from agent.core.messages import MAX_TEXT, Level, LogLine, NeighbourState, State, Symmetric
 from agent.core.ranging.fix import Fix, NoRange
 from agent.core.ranging.sweep import Measurement, Rejected
-from agent.core.step_io import Inputs, SweepOutcome
+from agent.core.step_io import Inputs, SweepOutcome, Telemetry
 from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetState
 
@@ -48,8 +48,11 @@ class Status(Revertible):
         if attitude.silent(now_ns, self._started_ns):
             faults.append("no telemetry")
             faults += [fault for fault in self._faults if fault.startswith(FAILSAFE)]  # it is not known to be over
-        elif attitude.newest is not None and attitude.newest.ladder > 0:
-            faults.append(f"{FAILSAFE} {attitude.newest.ladder}")
+        elif attitude.newest is not None:
+            if attitude.newest.ladder > 0:
+                faults.append(f"{FAILSAFE} {attitude.newest.ladder}")
+            if bad := attitude.newest.sensors_bad or 0:
+                faults.append("pressure sensor bad: " + " ".join(str(k + 1) for k in range(4) if bad >> k & 1))
         told = () if inputs.faults is UNSET else inputs.faults
         self._show_faults((*faults, *(text[:MAX_TEXT] for text in (*told, *ours))), now_ns)
 
@@ -110,9 +113,31 @@ class Status(Revertible):
             armed=telemetry.armed if telemetry and not attitude.silent(now_ns, self._started_ns) else None,
             battery_v=round(telemetry.battery_v, 2) if telemetry else UNSET,
             ladder=telemetry.ladder if telemetry else UNSET,
+            **module_state(telemetry, attitude.status),
             refused=dict(refused),
             faults=self._faults,
         )
+
+
+def module_state(newest: Telemetry | None, status: Telemetry | None) -> dict[str, Any]:
+    """Of State what is left out while there is nothing to say: by the newest telemetry, and the newest status."""
+    found: dict[str, Any] = {}
+    if newest is not None:
+        if bad := newest.sensors_bad or 0:
+            found["sensors_bad"] = tuple(k + 1 for k in range(4) if bad >> k & 1)
+        if at := newest.saturated or 0:
+            found["saturated"] = ("", "T1-T4", "T5-T8", "T1-T8")[at & 3]
+        if newest.parameters_dirty:
+            found["unsaved"] = True
+    if status is not None:
+        for name, value, scale, digits in (
+            ("current_a", status.current_a, 1.0, 1),
+            ("water_c", status.temperature_c, 1.0, 1),
+            ("heap_free_kb", status.heap_free_b, 1e-3, 1),
+        ):
+            if value is not UNSET:
+                found[name] = round(value * scale, digits)
+    return found
 
 
 def neighbour_state(cache: EstimateCache, name: str, used: bool, now_ns: int) -> NeighbourState:

@@ -97,6 +97,13 @@ class Telemetry(Message, frozen=True, kw_only=True):
     flags: int
     loop_us: int
     rate_rad_s: float | UnsetType = UNSET  # yaw rate by the module's gyro; unset: it has none, or none that answers
+    saturated: int | UnsetType = UNSET  # thrusters at their limit: bit 0 T1 to T4, bit 1 T5 to T8; unset: none
+    sensors_bad: int | UnsetType = UNSET  # bit mask of pressure sensors that are not believed; unset: none
+    parameters_dirty: bool | UnsetType = UNSET  # some are set and not saved; unset: none
+    # Once a second, in the frame that follows the module's status:
+    current_a: float | UnsetType = UNSET
+    temperature_c: float | UnsetType = UNSET  # of the water, at the first sensor that tells
+    heap_free_b: int | UnsetType = UNSET  # of the module's memory
 
 
 class Heard(Message, frozen=True, kw_only=True):
@@ -171,7 +178,7 @@ class TargetBox(Message, frozen=True, kw_only=True):
     box: tuple[float, float, float, float]  # x, y of the upper left corner, width, height
 
 
-Motors = Literal["off", "surface", "arm"]
+Motors = Literal["tare", "off", "surface", "arm"]  # tare: the module's sensors read air now, and no motor turns
 
 
 class SweepOutcome(Message, frozen=True, kw_only=True):

@@ -34,6 +34,10 @@ class Arm(Struct, frozen=True, kw_only=True):
     """Motors on, as soon as the control module agrees; one that surfaces is called back."""
 
 
+class Tare(Struct, frozen=True, kw_only=True):
+    """What the pressure sensors read now is air: for a robot that lies still, out of the water, its motors off."""
+
+
 class Resume(Struct, frozen=True, kw_only=True):
     """Do again all that the fleet file says. The motors stay as they are."""
 
@@ -87,6 +91,7 @@ Args = (
     | Disarm
     | Surface
     | Arm
+    | Tare
     | Resume
     | Clock
     | HoldHere
@@ -109,6 +114,7 @@ VERBS: Mapping[str, type[Args]] = MappingProxyType(
         "disarm": Disarm,
         "surface": Surface,
         "arm": Arm,
+        "tare": Tare,
         "hold": HoldHere,
         "look": LookAt,
         "lamp": Burn,

@@ -36,6 +36,7 @@ from agent.core.verbs import (
     Set,
     Stop,
     Surface,
+    Tare,
     arguments,
     in_words,
     within,
@@ -54,7 +55,7 @@ class AtOnce(NamedTuple):
     preview_hz: float | UnsetType = UNSET
 
 
-RANK: tuple[Motors, ...] = ("arm", "surface", "off")  # of two in one step the later here goes
+RANK: tuple[Motors, ...] = ("tare", "arm", "surface", "off")  # of two in one step the later here goes
 
 
 def prevailing(before: Motors | UnsetType, ordered: Motors) -> Motors:
@@ -83,6 +84,8 @@ class Commands(Revertible):
                 self.halt("surface" if isinstance(what, Surface) else "stop")
             case Arm():
                 self._motors("arm")
+            case Tare():
+                self._motors("tare")
             case Clock():
                 pass
             case HoldHere():
@@ -355,7 +358,7 @@ class Operator(Revertible):
         """Of what concerns the same part the newest holds."""
         if isinstance(what, Resume):
             self._holds = {part: held for part, held in self._holds.items() if part == "motors"}
-        elif verb != CLOCK:
+        elif verb not in (CLOCK, "tare"):
             self._holds[what.name if isinstance(what, Set) else PARTS.get(verb, "body")] = text[:MAX_WORDS]
 
     def _too_old(self, order: Order, now_ns: int) -> str:

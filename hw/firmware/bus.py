@@ -4,11 +4,13 @@ import struct
 
 TICK_US = 10000  # between two ticks of the hardware
 NO_RATE = -32768  # of wire.py: no gyro is there
+NO_GRAVITY = (-32768, 0)  # nor an accelerometer
 
 # twin -> firmware, where a cycle begins: board clock us; for how many of these us its tick has waited for the cycle
 # before; what everything takes, in percent of the table of times; absolute pressure of sensors 1-4 in mPa; battery mV,
-# current in 10 mA, leak probe 0/1, bit mask of sensors that answered; yaw rate as wire.TELEM tells it
-TICK = "<QHH4IHHBBh"
+# current in 10 mA, leak probe 0/1, bit mask of sensors that answered; yaw rate as wire.TELEM tells it; loop of the
+# kill switch, 1: open; of the accelerometer, in thousandths of gravity: upwards, where -32768 is none, and level
+TICK = "<QHH4IHHBBhBhH"
 TICK_SIZE = struct.calcsize(TICK)
 
 # firmware -> twin, the answer to each: the same clock; thruster pulses T1-T8 us, servo pulses us (camera pan, camera
@@ -21,7 +23,20 @@ ACT_SIZE = struct.calcsize(ACT)
 TIMES = "AUCAMP_CYCLE_TIMES"
 
 
-def tick(clock_us, pressure_pa, battery_mv, current_10ma, leak, answered, waited_us=0, percent=100, yaw_rate=NO_RATE):
+def tick(
+    clock_us,
+    pressure_pa,
+    battery_mv,
+    current_10ma,
+    leak,
+    answered,
+    waited_us=0,
+    percent=100,
+    yaw_rate=NO_RATE,
+    open_loop=False,
+    gravity_mg=NO_GRAVITY,
+):
     """A record for the firmware; pressures are floats, yaw_rate is in hundredths of a degree a second."""
+    motion = yaw_rate, open_loop, gravity_mg[0], gravity_mg[1]
     mpa = [min(max(int(1000.0 * p + 0.5), 0), 0xFFFFFFFF) for p in pressure_pa]
-    return struct.pack(TICK, clock_us, waited_us, percent, *mpa, battery_mv, current_10ma, leak, answered, yaw_rate)
+    return struct.pack(TICK, clock_us, waited_us, percent, *mpa, battery_mv, current_10ma, leak, answered, *motion)

@@ -19,8 +19,14 @@ _ARM_TILT_100nrad = const(3490000)  # 20 degrees
 _ARM_PARITY_100nm = const(50000)  # 5 mm
 _ESC_NEUTRAL_US = const(3000000)  # an ESC arms after 3 s of neutral pulses
 _LOOP_LIMIT_US = const(9000)
-TARE_FOR_MS = 12 * 3600 * 1000  # the weather moves by 1 hPa, a centimetre of water, within hours
-TARE_AHEAD_MS = 600000  # a clock without a time server goes wrong by so much in months, and weather does not in minutes
+
+WIRING = 5184  # number of wiring.py's table: of another one `aucamp board check` knows nothing
+
+# Nudges of T1 to T4, cycles; how late thrusters and law show them; how much of them is a sign.
+_NUDGE_PART = const(23)
+_NUDGE_LATE = const(6)
+_WEAK_SHOWS = const(4)
+_CROSSED_SHOWS = const(14)
 
 # Indices of wire.REASONS
 _NONE = const(0)
@@ -34,6 +40,25 @@ _STUCK = const(7)
 _TILTED = const(8)
 _TWO_BAD = const(9)
 STOP, PARAMETERS, WATCHDOG, FAULT = 10, 11, 12, 13
+KILLED = 14
+_NOT_HOLDING = const(15)
+_OVERTURNED = const(16)
+_CONTRADICTED = const(17)
+_WEAK = const(18)  # T1; the next three are T2 to T4, or pairs round the hull
+_REVERSED = const(22)
+_CROSSED = const(26)
+
+_ERROR_100nm = const(500000)  # 5 cm, 8 degrees: with all thrust spent on it, that is not held
+_ERROR_100nrad = const(1400000)
+_NOT_HOLDING_US = const(3000000)
+_PUSHED_US = const(2000000)
+_OVER_100nrad = const(12200000)  # 70 degrees: what goes over passes here, for the sensors show 110 as 70 and 180 as 0
+_OVER_FOR_US = const(30000)
+_PLANE_100nm = const(200000)  # four sensors in a plane within 2 cm, or no tilt is believed
+_USELESS_100nm = const(2000000)  # 20 cm out of it: nobody knows how the robot lies
+_MOMENT_uNm = const(
+    150000
+)  # that it takes to hold a robot level: badly trimmed, or a thruster works against it, or not level
 
 
 class Ladder:
@@ -43,6 +68,11 @@ class Ladder:
         self.level = OK
         self.reason = _NONE
         self._surfacing_us = self._shallow_us = self._tilt_us = self._battery_us = 0
+        self._over_us = self._helpless_us = self._moment_us = 0
+
+    def found(self):
+        """Whether it surfaces for something that the board found, and no host's silence nor order."""
+        return self.level >= SURFACE and self.reason != _SILENT and self.reason != ORDER
 
     def resume(self):
         """Go back to normal, by order. False where only a reboot helps."""
@@ -71,8 +101,14 @@ class Ladder:
         tilt = max(abs(plane.roll_100nrad), abs(plane.pitch_100nrad))
         self._tilt_us = self._tilt_us + dt_us if tilt > _TILT_100nrad else 0
         self._battery_us = self._battery_us + dt_us if battery_low else 0
+        flat = -_PLANE_100nm < plane.parity_100nm < _PLANE_100nm
+        self._over_us = self._over_us + dt_us if flat and tilt > _OVER_100nrad else 0
         if plane.bad_count >= 2:
             self._climb(DISARM, _TWO_BAD)
+        elif plane.upside_down or self._over_us >= _OVER_FOR_US:
+            self._climb(DISARM, _OVERTURNED)
+        elif plane.disagree and not -_USELESS_100nm < plane.parity_100nm < _USELESS_100nm:
+            self._climb(DISARM, _SENSORS)
         elif self._tilt_us >= _TILT_FOR_US:
             self._climb(DISARM, _TILTED)
         elif self.level == SURFACE:
@@ -88,6 +124,10 @@ class Ladder:
             self._climb(SURFACE, _BATTERY)
         elif plane.disagree:
             self._climb(SURFACE, _SENSORS)
+        elif plane.leans:
+            self._climb(SURFACE, _CONTRADICTED)
+        elif self._helpless_us >= _NOT_HOLDING_US:
+            self._climb(SURFACE, _NOT_HOLDING)
         elif age_us > _SURFACE_AFTER_US:
             self._climb(SURFACE, _SILENT)
         elif age_us > min(HOLD_AFTER_US, ttl_us):
@@ -96,16 +136,103 @@ class Ladder:
             self._climb(OK, _NONE)
         return self.level
 
+    def watch(self, dt_us, depth_100nm, tilt_100nrad, saturated, push):
+        """What control came to since the last look: the largest errors, whether all thrust was spent, and the push that
+        the law believes in, uN down and uNm."""
+        far = depth_100nm > _ERROR_100nm or tilt_100nrad > _ERROR_100nrad
+        self._helpless_us = self._helpless_us + dt_us if far and saturated else 0
+        _, roll, pitch = push
+        self._moment_us = self._moment_us + dt_us if max(abs(roll), abs(pitch)) > _MOMENT_uNm else 0
+        if self._moment_us >= _PUSHED_US:
+            reason = pushed_by(*push)
+            if reason != _CONTRADICTED or self._moment_us >= _NOT_HOLDING_US:  # nudges may still say whose it is
+                self.suspect(reason)
+
+    def suspect(self, reason):
+        """Something does not do what it is told: up, or, where control pushes the wrong way, off."""
+        if self.level < SURFACE:
+            self._climb(DISARM if _REVERSED <= reason < _CROSSED else SURFACE, reason)
+
     def _climb(self, level, reason):
         self.level = level
         self.reason = reason
 
 
-def arm_faults(hello, plane, battery_low, leak, neutral, age_us, esc_us, ladder, loop_max_us, tare_old):
+class Probe:
+    """Along one direction T1 to T4 push against each other and nothing moves. They are nudged along it again and again,
+    and what moves then tells which of them does not do what it is told."""
+
+    def __init__(self, every):
+        """every: cycles from nudge to nudge, 100 or more."""
+        self._every = every
+        self._at = self._named = self._roll = self._pitch = 0
+        self._quiet = True  # since the nudge began
+
+    def sign(self):
+        """Of the nudge in this cycle: + - - +, which no drift looks like."""
+        at = self._at
+        if at >= 4 * _NUDGE_PART:
+            return 0
+        return -1 if _NUDGE_PART <= at < 3 * _NUDGE_PART else 1
+
+    def step(self, roll, pitch, full_mN, quiet):
+        """End a cycle with the moments that the law believes in, uNm, and the full thrust, mN. What does not do what it
+        is told, as an index of wire.REASONS, where two nudges in a row have shown the same; else 0. A nudge that was
+        not given in quiet shows nothing: a robot on its way moves anyway."""
+        self._at = (self._at + 1) % self._every
+        if not quiet:
+            self._quiet = False
+        late = self._at - _NUDGE_LATE
+        if 0 <= late < 4 * _NUDGE_PART:
+            if _NUDGE_PART <= late < 3 * _NUDGE_PART:
+                roll, pitch = -roll, -pitch
+            self._roll += roll
+            self._pitch += pitch
+        elif late == 4 * _NUDGE_PART:
+            full = full_mN * 125 >> 7  # of uN, 1024 at a time
+            named = _moved(self._roll * 5 // (24 * full), self._pitch * 5 // (32 * full))
+            if not self._quiet:
+                named = 0
+            self._roll = self._pitch = 0
+            self._quiet = True
+            again, self._named = named == self._named, named
+            return named if again else 0
+        return 0
+
+
+def _moved(roll, pitch):
+    """What a nudge that moved the robot so says, in thirtieths of what one thruster gives: one that is dead shows a
+    third of that in both, as far as the law sees it in so short a time, two that are crossed as much in one alone."""
+    big, small = max(abs(roll), abs(pitch)), min(abs(roll), abs(pitch))
+    if big >= _CROSSED_SHOWS and big >= 3 * small:
+        if big == abs(roll):
+            return _CROSSED + (3 if roll > 0 else 1)
+        return _CROSSED + (2 if pitch > 0 else 0)
+    if small >= _WEAK_SHOWS and big < 3 * small:
+        return _WEAK + ((3 if pitch > 0 else 0) if roll > 0 else (2 if pitch > 0 else 1))
+    return 0
+
+
+def pushed_by(down, roll, pitch):
+    """Whose a push is that does not end, by the law's belief in uN and uNm: a thruster's against it, or nobody's."""
+    roll, pitch = roll // 6, pitch // 8
+    big, small = max(abs(roll), abs(pitch)), min(abs(roll), abs(pitch))
+    if 2 * big > 5 * small:
+        return _CONTRADICTED
+    lifts = down < 0
+    if (roll > 0) == (pitch > 0):
+        return _REVERSED + (1 if lifts == (roll > 0) else 3)
+    return _REVERSED + (0 if lifts == (roll > 0) else 2)
+
+
+def arm_faults(
+    hello, plane, battery_low, leak, neutral, age_us, esc_us, ladder, loop_max_us, tare_old, killed, unchecked
+):
     """Bit mask, in the order of wire.ARM_CHECKS, of all that speaks against arming; 0: go.
 
     hello: the handshake agreed; neutral: no planar push, no tilt is asked for; esc_us: for how long all pulses have
-    been neutral; tare_old: it was made more than TARE_FOR_MS ago.
+    been neutral, and ESCs there to hear them; tare_old: it was made more than 12 h ago; killed: the loop of the
+    kill switch is open; unchecked: nobody has passed `aucamp board check` with this wiring.
     """
     checks = (
         not hello,
@@ -121,6 +248,9 @@ def arm_faults(hello, plane, battery_low, leak, neutral, age_us, esc_us, ladder,
         ladder.level == LATCHED,
         loop_max_us >= _LOOP_LIMIT_US,
         tare_old,
+        killed,
+        unchecked,
+        plane.upside_down,
     )
     mask = 0
     for i in range(len(checks)):

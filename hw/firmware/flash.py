@@ -2,10 +2,11 @@
 import sys
 from micropython import const
 
-import failsafe
-
 _TIME_UNKNOWN = const(-1)
-_HOST_ROUND_MS = const(0x100000000)  # where the host's milliseconds begin again
+_TARE_FOR_S = const(43200)  # the weather moves by 1 hPa, a centimetre of water, within hours
+_TARE_AHEAD_S = const(600)  # a clock without a time server goes wrong by so much in months, and weather in hours
+_HOST_ROUND = const(0x100000000)  # where the host's clock begins again
+_TARE_TIMES = {1000: "tare_host_ms", 10: "tare_host_ds"}  # by how many of them a second has
 
 
 def put_away():
@@ -50,23 +51,28 @@ class Flash:
             raise ValueError("tare_pa in flash is no tare: tare again")
         return tare_mPa
 
-    def save_tare(self, tare_pa, host_ms):
-        """host_ms: the host's clock, modulo 2**32, or None where no host has told it."""
+    def save_tare(self, tare_pa, host_time, per_s):
+        """host_time: the host's clock, modulo 2**32, of which a second has so many; None where no host has told it."""
+        for unit in _TARE_TIMES:
+            self._table.pop(_TARE_TIMES[unit], None)
         self._table["tare_pa"] = tare_pa
-        self._table["tare_host_ms"] = _TIME_UNKNOWN if host_ms is None else host_ms
+        self._table[_TARE_TIMES[per_s]] = _TIME_UNKNOWN if host_time is None else host_time
         self._hal.save_flash(self._table)
         self._tared_now = True
 
-    def tare_is_old(self, host_ms):
-        """Made before this boot and not within TARE_FOR_MS, as far as anybody knows.
+    def tare_is_old(self, host_time, per_s):
+        """Made before this boot and not within 12 h, as far as anybody knows.
 
-        The board has no calendar; the host's milliseconds come round after 49 days. A tare that was written into
-        flash without a time was put there by somebody who knew. One from a little ahead of the host's clock is fresh:
-        that clock was set since, or it is another computer's.
+        The board has no calendar. The milliseconds of hosts of versions 1 and 2 come round after 49 days, the tenths of
+        a second of version 3 after 13 years; the one says nothing of the other. A tare that was written into flash
+        without a time was put there by somebody who knew. One from a little ahead of the host's clock is fresh: that
+        clock was set since, or it is another computer's.
         """
-        if self._tared_now or "tare_host_ms" not in self._table:
+        table = self._table
+        if self._tared_now or not [unit for unit in _TARE_TIMES if _TARE_TIMES[unit] in table]:
             return False
-        made_ms = self._table["tare_host_ms"]
-        if host_ms is None or not isinstance(made_ms, int) or made_ms == _TIME_UNKNOWN:
+        made = table.get(_TARE_TIMES[per_s])
+        if host_time is None or not isinstance(made, int) or made == _TIME_UNKNOWN:
             return True
-        return failsafe.TARE_FOR_MS < (host_ms - made_ms) & 0xFFFFFFFF < _HOST_ROUND_MS - failsafe.TARE_AHEAD_MS
+        age = (host_time - made) & 0xFFFFFFFF
+        return _TARE_FOR_S * per_s < age < _HOST_ROUND - _TARE_AHEAD_S * per_s

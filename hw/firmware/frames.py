@@ -11,7 +11,7 @@ import struct
 from micropython import const
 
 # Of wire.TABLE, by version of the protocol: two ends that disagree on any field never arm
-SCHEMA_CRC = (0, 0xA725AA30, 0x9345DAF7)
+SCHEMA_CRC = (0, 0xA725AA30, 0x9345DAF7, 0xDFDC3BD1)
 
 _MAX_PLAIN = const(255)  # bytes of a frame before COBS
 _MAX_STUFFED = const(257)  # the same after COBS, without the closing zero

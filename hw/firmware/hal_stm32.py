@@ -17,6 +17,7 @@ _CAN_CURRENT = const(2)
 _CAN_LEAK = const(4)
 _CAN_KILL = const(8)
 _CAN_VERSION_2 = const(32)
+_CAN_VERSION_3 = const(64)
 _BY_ORDER = const(5)
 
 _CYCLE_US = const(10000)
@@ -64,7 +65,7 @@ def free_bus():
 class Hal(pins.Pins):
     """One board; main.py makes one. `wait_tick` begins a cycle, `end_cycle` shows its result on the pins."""
 
-    capabilities = _CAN_WATCHDOG | _CAN_CURRENT | _CAN_LEAK | _CAN_KILL | _CAN_VERSION_2
+    capabilities = _CAN_WATCHDOG | _CAN_CURRENT | _CAN_LEAK | _CAN_KILL | _CAN_VERSION_2 | _CAN_VERSION_3
 
     def __init__(self):
         super().__init__()
@@ -75,7 +76,8 @@ class Hal(pins.Pins):
         self.dt_us = _CYCLE_US  # since the cycle before
         self.ticks = 1  # the same, in ticks
         self.late = 0  # ticks lost since boot, modulo 65536
-        self._fired = self._taken = 0  # ticks since boot, modulo 2**30: so that now_us knows no seam
+        self._fired = self._taken = 0  # ticks since boot, modulo 2**30
+        self.us_low = self.us_high = 0  # of now_us, 16 bits each: beyond 30 bits a number is an object
         self._fired_at = self._began = ticks_us()
         self._safe = _SAFE_CYCLES
         self._watchdog = None
@@ -85,7 +87,8 @@ class Hal(pins.Pins):
         self._sensors = ms5837.Sensors(open_bus(), free_bus)
         spi = machine.SPI(2, baudrate=1000000, polarity=0, phase=0)
         pyb.Pin("PB14", mode=pyb.Pin.ALT, pull=pyb.Pin.PULL_UP, alt=5)  # so that silence reads as 255
-        self.yaw_rate_cdeg_s = gyro.Gyro(spi, pyb.Pin("PE7", mode=pyb.Pin.OUT, value=1).value).rate_cdeg_s
+        motion = gyro.Gyro(spi, pyb.Pin("PE7", mode=pyb.Pin.OUT, value=1).value)
+        self.yaw_rate_cdeg_s, self.gravity_mg = motion.rate_cdeg_s, motion.gravity_mg
         self._usb = pyb.USB_VCP()
         self._uart = None
         if "usb" in os.listdir():  # a file of this name: the tether is the board's own USB port
@@ -110,6 +113,9 @@ class Hal(pins.Pins):
         fired = self._fired
         ticks = (fired - self._taken) & 0x3FFFFFFF
         self._taken = fired
+        low = self.us_low + ticks * _CYCLE_US
+        self.us_low = low & 0xFFFF
+        self.us_high = (self.us_high + (low >> 16)) & 0xFFFF
         if ticks != self.ticks:
             self.ticks = ticks
             self.dt_us = ticks * _CYCLE_US
@@ -140,7 +146,7 @@ class Hal(pins.Pins):
 
     def now_us(self):
         """The board's clock at this cycle's tick, 32 bits."""
-        return self._taken * _CYCLE_US & 0xFFFFFFFF
+        return self.us_high << 16 | self.us_low
 
     def cycle_us(self):
         """Since this cycle's tick: at its end, the whole of it, with buses and collection."""

@@ -22,7 +22,9 @@ ARMED, DISARMED, FRAME, BYTE, HEARD, COLLECT, HEAP_FREE = range(7)
 class Hal:
     """One board. `wait_tick` ends a cycle and begins the next."""
 
-    capabilities = wire.CAN_CURRENT | wire.CAN_LEAK | wire.SIMULATED | wire.CAN_VERSION_2
+    capabilities = (
+        wire.CAN_CURRENT | wire.CAN_LEAK | wire.CAN_KILL | wire.SIMULATED | wire.CAN_VERSION_2 | wire.CAN_VERSION_3
+    )
     temperature_cC = 0  # the simulated bus has no thermometer
 
     def __init__(self, serial_fd, bus_fd, flash_path):
@@ -35,7 +37,7 @@ class Hal:
         self._tick_view = memoryview(self._tick)
         self._act = bytearray(bus.ACT_SIZE)
         self._begun = False
-        self._now_us = self._tick_us = 0
+        self._now_us = self._tick_us = self.us_low = self.us_high = 0
         self._frame_us = FRAME_US
         self._times = [int(ns) for ns in (os.getenv(bus.TIMES) or "0 0 0 0 0 0 0").split()]
         self._percent = 100
@@ -45,6 +47,8 @@ class Hal:
         self.answered = 0  # bit mask of sensors that did
         self.battery_mv = self.current_10ma = self.leak = 0
         self._yaw_rate_cdeg_s = wire.NO_RATE
+        self._open_loop, self._gravity_mg = 0, bus.NO_GRAVITY
+        self._killed = False  # as the timers of the board: once their break input is high, until somebody revives them
         self.pulses_us = [1500] * 8
         self.servos_us = [1500] * 4
         self.light_permille = 0
@@ -65,8 +69,12 @@ class Hal:
         fields = struct.unpack(bus.TICK, self._tick)
         self._now_us, self._waited_us, self._percent = fields[:3]
         self.pressure_mPa[:] = fields[3:7]
-        self.battery_mv, self.current_10ma, self.leak, self.answered, self._yaw_rate_cdeg_s = fields[7:]
+        self.battery_mv, self.current_10ma, self.leak, self.answered = fields[7:11]
+        self._yaw_rate_cdeg_s, self._open_loop, self._gravity_mg = fields[11], fields[12], fields[13:]
+        if self._open_loop:
+            self._killed = True
         self._tick_us = self._now_us - self._waited_us
+        self.us_low, self.us_high = self._tick_us & 0xFFFF, self._tick_us >> 16 & 0xFFFF
         self.ticks = (self._tick_us - before_us) // bus.TICK_US if before_us else 1
         self.dt_us = self.ticks * bus.TICK_US
         self.late = (self.late + self.ticks - 1) & 0xFFFF
@@ -81,7 +89,8 @@ class Hal:
         """Answer the tick. Last in a cycle: who has the answer finds all of the cycle's telemetry in the pty."""
         lamp_armed = self.light_permille, self.armed
         times = self._frame_us, self._pins_us, self._ns // 1000
-        struct.pack_into(bus.ACT, self._act, 0, self._now_us, *self.pulses_us, *self.servos_us, *lamp_armed, *times)
+        pulses_us = [0] * 8 if self._killed else self.pulses_us
+        struct.pack_into(bus.ACT, self._act, 0, self._now_us, *pulses_us, *self.servos_us, *lamp_armed, *times)
         try:
             self._bus.write(self._act)
         except OSError:
@@ -92,6 +101,15 @@ class Hal:
         """From now on a thruster's pulse begins every so many us."""
         self._frame_us = frame_us
 
+    def killed(self):
+        """Whether the kill switch's loop is open, or was: the thrusters have no pulses since."""
+        return self._killed
+
+    def revive(self):
+        """Neutral pulses again after a kill, where its loop is closed. For a robot at rest."""
+        if not self._open_loop:
+            self._killed = False
+
     def now_us(self):
         """The board's clock at this cycle's tick, 32 bits."""
         return self._tick_us & 0xFFFFFFFF
@@ -99,6 +117,10 @@ class Hal:
     def yaw_rate_cdeg_s(self):
         """What the gyro says, wire.NO_RATE where there is none."""
         return self._yaw_rate_cdeg_s
+
+    def gravity_mg(self):
+        """What the accelerometer says, upwards and level; None where there is none."""
+        return None if self._gravity_mg == bus.NO_GRAVITY else self._gravity_mg
 
     def cycle_us(self):
         """Since this cycle's tick, as far as it has come."""

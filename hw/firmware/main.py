@@ -28,6 +28,7 @@ _BY_WATCHDOG = const(3)
 TELEMETRY_EVERY = 2
 STATUS_EVERY, STATUS_AT = 100, 1
 COLLECT_EVERY, COLLECT_AT = 50, 25  # what a cycle leaves is less than 200 bytes
+FEEL_EVERY, FEEL_AT = 10, 7  # where up is, if somebody knows
 LOOK_EVERY, LOOK_AT = 100, 53  # how much memory is free: looking takes 2 ms
 
 
@@ -92,6 +93,11 @@ class Firmware:
         self.cycle += 1
         unsensed = None
         try:
+            module.killed = hal.killed()
+            if self.cycle % FEEL_EVERY == FEEL_AT:
+                gravity_mg = hal.gravity_mg()
+                if gravity_mg:
+                    module.plane.feel(*gravity_mg)
             module.sense(hal.pressure_mPa, hal.answered, hal.battery_mv, hal.leak, dt_us)
         except Exception as error:
             unsensed = error

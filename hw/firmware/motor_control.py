@@ -25,6 +25,13 @@ _FAULTS_LIMIT = const(10)
 _LOST_US = const(500000)
 _TICK_US = const(10000)
 _TICKS_AT_ONCE = const(10)  # that a law makes up for, where cycles were lost
+# Below this no ESC lives. One that is plugged in plays its tunes for so long before it hears what is neutral.
+_ESC_LIVES_MV = const(6000)
+_ESC_STARTS_US = const(2000000)
+_WATCH_US = const(40000)
+_NUDGE_SHIFT = const(5)  # of the full thrust
+_QUIET_100nm = const(300000)  # where a robot within 3 cm and 10 degrees is at rest
+_QUIET_100nrad = const(1740000)
 _BENCH_US = const(60)  # over neutral: a propeller in air turns visibly and slowly
 
 
@@ -35,11 +42,16 @@ class SetPoint:
         self.age_us = _NEVER_US
         self.ttl_us = 0
         self.seq = 0  # of the frame that brought it
-        self.host_ms = None  # the host's clock in it, modulo 2**32
+        self.host_time = None  # the host's clock in it, modulo 2**32: ms, or since version 3 tenths of a second
         self.depth_100nm = 0
         self.tilt_100nrad = [0, 0]  # roll, pitch
         self.force_uN = [0, 0]  # forward, left
         self.yaw_uNm = 0
+
+    def expire(self):
+        """As if none had come."""
+        self.age_us = _NEVER_US
+        self.host_time = None
 
     def is_neutral(self):
         return not (any(self.force_uN) or any(self.tilt_100nrad) or self.yaw_uNm)
@@ -55,17 +67,19 @@ class Control:
     def __init__(self):
         self.state = _DISARMED
         self.mode = _HOLD
-        self.bench_thruster = 0  # 1-8: turns in mode BENCH
+        self.bench_thruster = 0  # 1-8: turns in mode BENCH; 0: none
         self.plane = pressure.Plane(_PA_PER_M, _SENSOR_HALF_MM, _SENSOR_HALF_MM)
         self.ladder = failsafe.Ladder()
         self.set_point = SetPoint()
         self.neutral_us = [thrust.NEUTRAL_US] * 8
         self.pulses_us = [thrust.NEUTRAL_US] * 8
         self.saturated = 0  # bit 0 central, bit 1 flat thrusters
-        self.esc_us = 0  # for how long all pulses have been neutral
+        self.esc_us = 0  # for how long ESCs have heard neutral pulses; negative: they start up
+        self.killed = False  # the kill switch has the thrusters
         self.leak = False
         self.battery_low = False
         self.tare_old = False
+        self.probe = None  # of the thrusters; a law that observes nothing has none
         self._owed = 0  # good cycles, after faults
         self._lost_us = 0  # since the last good cycle
         self._failed = False  # the last one was none
@@ -76,6 +90,9 @@ class Control:
         self._ref = [0] * 3
         self._want = [0] * 3
         self._realised = [0] * 3
+        self._push = [0] * 3
+        self._unwatched_us = self._cut = 0  # since the last look; whether thrust was cut meanwhile
+        self._quiet = False  # at the last look the robot was at rest
         self.values = []  # of the parameters; configure() comes before anything else
         self.law = None
 
@@ -87,9 +104,12 @@ class Control:
         self.values_crc = parameters.crc(values)
         of = {name: values[i] for i, name in enumerate(parameters.NAMES)}
         name = parameters.LAWS[int(of["law"])]
+        self.probe = None
         if name == "observer":
             import gains
 
+            if of["nudge_s"] >= 1.0:
+                self.probe = failsafe.Probe(int(of["nudge_s"] * 100 + 0.5))
             self.law = law.Observer(gains.observer(of["heave_kg"], of["tilt_kgm2"], of["lag_s"]))
         elif name == "pid":
             import law_pid  # these two take no memory where they are not wanted
@@ -105,6 +125,7 @@ class Control:
         self._curve_battery_mv = int(of["curve_battery_mV"])
         self._battery_min_mv = int(of["battery_min_mV"])
         self.pulse_frame_us = of["pulse_frame_us"]
+        self._checked = of["wiring"] == failsafe.WIRING
         self._slew_uN = int(of["slew_N"] * 1e6 + 0.5)
         for j in range(8):
             self.neutral_us[j] = self.pulses_us[j] = int(of["zero_%d_us" % (j + 1)])
@@ -115,6 +136,10 @@ class Control:
             self.set_point.age_us += dt_us
         self.leak = bool(leak)
         self.battery_low = battery_mv < self._battery_min_mv
+        if battery_mv < _ESC_LIVES_MV:
+            self.esc_us = -_ESC_STARTS_US
+        elif self.killed and self.esc_us > 0:
+            self.esc_us = 0
         if self._battery_mv64:
             self._battery_mv64 += ((battery_mv << 6) - self._battery_mv64 + _BATTERY_TICKS // 2) // _BATTERY_TICKS
         else:
@@ -128,6 +153,10 @@ class Control:
                 self.esc_us += dt_us
             return False
         self.esc_us = 0
+        if self.killed:
+            self.ladder.give_up(failsafe.KILLED)
+            self.disarm()
+            return True
         if self._owed:
             self._recover()
         before = self.ladder.level
@@ -153,7 +182,13 @@ class Control:
             self._turn_one()
         else:
             self._drive(min((dt_us + _TICK_US // 2) // _TICK_US, _TICKS_AT_ONCE))
-        return level != before
+            self._watch(dt_us)
+            if self.ladder.level >= failsafe.DISARM:
+                self.disarm()
+            elif self.ladder.level != level:
+                self.hold_here()
+                self.set_point.level_out()
+        return self.ladder.level != before
 
     def fail(self, dt_us):
         """End a cycle that broke off: the last pulses stand. Returns whether the ladder moved."""
@@ -217,7 +252,40 @@ class Control:
         realised[0] -= weight
         if thrust.flat(set_point.force_uN[0], set_point.force_uN[1], set_point.yaw_uNm, full, forces):
             self.saturated |= 2
+        probe = self.probe
+        nudge = probe.sign() * (full >> _NUDGE_SHIFT) if probe else 0
+        if not nudge or self.saturated:
+            thrust.pulses(forces, self.neutral_us, full, self.pulses_us)
+            return
+        for j in range(4):
+            forces[j] += nudge
+            nudge = -nudge
         thrust.pulses(forces, self.neutral_us, full, self.pulses_us)
+        for j in range(4):
+            forces[j] -= nudge
+            nudge = -nudge
+
+    def _watch(self, dt_us):
+        """Whether what was asked for comes to anything: nudges in each cycle, the rest in one of four."""
+        self._unwatched_us += dt_us
+        self._cut |= self.saturated & 1
+        if self._unwatched_us >= _WATCH_US:
+            self._look()
+        probe, law = self.probe, self.law
+        if probe and self.ladder.level < failsafe.SURFACE:
+            reason = probe.step(law.disturbance(1), law.disturbance(2), self._thrust_max_mN, self._quiet)
+            if reason:
+                self.ladder.suspect(reason)
+
+    def _look(self):
+        y, ref, law, push = self._y, self._ref, self.law, self._push
+        for i in range(3):
+            push[i] = law.disturbance(i)
+        deep, roll, pitch = abs(y[0] - ref[0]), abs(y[1] - ref[1]), abs(y[2] - ref[2])
+        off = roll if roll > pitch else pitch
+        self.ladder.watch(self._unwatched_us, deep, off, self._cut, push)
+        self._quiet = not self._cut and deep < _QUIET_100nm and off < _QUIET_100nrad
+        self._unwatched_us = self._cut = 0
 
     def arm_faults(self, hello, loop_max_us):
         """What speaks against arming, as the bit mask of failsafe.arm_faults.
@@ -236,6 +304,8 @@ class Control:
             self.ladder,
             loop_max_us,
             self.tare_old and not armed,
+            self.killed,
+            self.mode != _BENCH and not self._checked,
         )
 
     def arm(self):

@@ -129,7 +129,12 @@ class Orders:
     def _arm(self):
         control = self._control
         before = control.ladder.level
-        control.tare_old = self._flash.tare_is_old(control.set_point.host_ms)
+        if control.killed and control.state == _DISARMED:
+            self._line.revive()  # ESCs hear neutral again, and are armed once they have heard it for long enough
+        asked = control.set_point  # without one nobody knows what time it is, and an old one is refused anyway
+        control.tare_old = asked.host_time is not None and self._flash.tare_is_old(
+            asked.host_time, self._line.host_per_s()
+        )
         faults = control.arm_faults(self._line.hello, self._line.slowest_us())
         if faults:
             self._line.event(_EV_ARM_REFUSED, before, before, _WARNING, faults)
@@ -151,7 +156,7 @@ class Orders:
     def _mode(self, mode, thruster):
         control = self._control
         armed = control.state == _ARMED
-        if mode > _BENCH or (mode == _BENCH and not 1 <= thruster <= 8):
+        if mode > _BENCH or (mode == _BENCH and thruster > 8):
             return _RANGE
         if mode == _SURFACE:
             if not armed or control.mode == _BENCH:
@@ -221,7 +226,7 @@ class Orders:
         tare_mPa = tare.whole(tare_pa)
         if tare_mPa is None:
             return False
-        self._flash.save_tare(tare_pa, control.set_point.host_ms)
+        self._flash.save_tare(tare_pa, control.set_point.host_time, self._line.host_per_s())
         plane.tare_mPa = tare_mPa
         return True
 

@@ -28,6 +28,9 @@ TABLE = (
     ("zero_7_us", 1500, 1400, 1600, WHOLE),
     ("zero_8_us", 1500, 1400, 1600, WHOLE),
     ("pulse_frame_us", 5000, 2500, 20000, WHOLE),
+    # From here on since version 3 of the protocol
+    ("nudge_s", 1, 0, 60, REAL),
+    ("wiring", 0, 0, 65535, WHOLE),
 )
 
 NAMES = [row[0] for row in TABLE]

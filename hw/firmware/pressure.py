@@ -19,6 +19,11 @@ _MOVING_US = const(1000000)
 _PARITY_LIMIT_100nm = const(200000)
 _PARITY_FOR_US = const(500000)
 _STANDARD_AIR_mPa = const(101325000)
+# Gravity, where there is an accelerometer: what it says of the robot's axis, and how far it and the sensors may differ.
+_UPSIDE_DOWN_MG = const(-300)
+_UPSIDE_DOWN_LOOKS = const(3)  # of 0.1 s
+_LEAN_MG = const(130)  # 7.5 degrees
+_LEAN_LOOKS = const(15)
 _SERIES = const(4200000)  # up to 25 degrees asin and 1/cos are the first terms of their series
 
 
@@ -34,6 +39,8 @@ class Plane:
         self.bad = 0  # bit mask of sensors not believed
         self.bad_count = 0
         self.disagree = False  # one of them is wrong and nobody knows which
+        self.upside_down = self.leans = False  # by gravity, where there is an accelerometer
+        self._upside, self._leaning = 0, 0  # looks in a row
         self._half_x_mm = half_x_mm
         self._half_y_mm = half_y_mm
         self._last_mPa = [0] * 4
@@ -65,6 +72,15 @@ class Plane:
                 if self.bad >> k & 1:  # neighbours minus the opposite corner
                     z[k] = z[(k + 1) & 3] + z[(k + 3) & 3] - z[(k + 2) & 3]
         self._tilt(dt_us)
+
+    def feel(self, up_mg, level_mg):
+        """Compare with gravity, ten times a second: thousandths of it along the robot's own axis, and across."""
+        self._upside = self._upside + 1 if up_mg < _UPSIDE_DOWN_MG else 0
+        self.upside_down = self._upside >= _UPSIDE_DOWN_LOOKS
+        roll, pitch = self.roll_100nrad // 10000, self.pitch_100nrad // 10000
+        off = level_mg - int(math.sqrt(roll * roll + pitch * pitch))
+        self._leaning = 0 if -_LEAN_MG < off < _LEAN_MG else self._leaning + 1
+        self.leans = self._leaning >= _LEAN_LOOKS
 
     def _measure(self, raw_mPa):
         """The depths that the sensors say."""

@@ -9,7 +9,8 @@ import orders
 
 # Of wire.py, whose numbers these are
 _ERROR = const(2)
-_PROTOCOL = const(2)
+_PROTOCOL = const(3)
+_OLD_PARAMETERS = const(20)  # of versions 1 and 2
 _TELEM_1 = const(0x01)
 _TELEM = const(0x05)
 _STATUS = const(0x02)
@@ -26,6 +27,8 @@ _FLAG_TARED = const(4)
 _FLAG_LEAK = const(8)
 _FLAG_BATTERY = const(16)
 _FLAG_FRESH = const(32)
+_FLAG_KILLED = const(64)
+_FLAG_FOUND = const(128)
 _MODE_SHIFT = const(8)
 _VALID_DEPTH = const(1)
 _VALID_ATTITUDE = const(2)
@@ -33,7 +36,7 @@ _VALID_FORCE = const(4)
 _VALID_SERVO = const(8)
 _VALID_LIGHT = const(16)
 
-_BUILD = b"aucamp04"
+_BUILD = b"aucamp05"
 _TELEM_1_END = const(72)  # of the payload in the frame; behind it the yaw rate
 _RX_BYTES = const(128)  # in a cycle: three set-points; what is more waits in the port
 _EVENT_COPIES = const(3)  # events are not acknowledged
@@ -136,7 +139,7 @@ class Tether:
         set_point.age_us = 0
         set_point.ttl_us = ttl_ms * 1000
         set_point.seq = seq
-        set_point.host_ms = host_high << 16 | host_low
+        set_point.host_time = host_high << 16 | host_low
         if self._control.ladder.level != failsafe.SURFACE:  # which ends by an order only
             if valid & _VALID_DEPTH:
                 set_point.depth_100nm = depth * 1000
@@ -166,7 +169,10 @@ class Tether:
 
     def _on_hello(self, protocol, schema, host_boot):
         self.hello = 0 < protocol <= _PROTOCOL and schema == frames.SCHEMA_CRC[protocol]
+        before = self._protocol
         self._protocol, says = (protocol, protocol) if self.hello else (1, _PROTOCOL)
+        if self._protocol != before and not self._control.state:
+            self._control.set_point.expire()  # its clock may count otherwise
         if host_boot != self._host_boot:  # another host: its request numbers begin again
             self._host_boot = host_boot
             self.orders.forget()
@@ -174,16 +180,26 @@ class Tether:
                 self.log(_ERROR, "host speaks another protocol: no arming")
             for text in self._complaints:
                 self.log(_ERROR, text)
+        count = len(self._control.values) if says == _PROTOCOL else _OLD_PARAMETERS
         # fmt: off
         self.say(
             _HELLO_ACK, says, frames.SCHEMA_CRC[says], _BUILD, self._uid, self.boot_id, self.reset_cause,
-            self._control.state, self._control.values_crc, len(self._control.values), self._hal.capabilities,
+            self._control.state, self._control.values_crc, count, self._hal.capabilities,
         )
         # fmt: on
+
+    def host_per_s(self):
+        """How many of what the host's clock counts a second has."""
+        return 10 if self._protocol == _PROTOCOL else 1000
 
     def begin_pulses(self):
         """Let the thrusters' pulses come as often as the parameter says."""
         self._hal.begin_pulses(self._control.pulse_frame_us)
+
+    def revive(self):
+        """Neutral pulses again, where the kill switch is closed."""
+        self._hal.revive()
+        self._control.killed = self._hal.killed()
 
     def say(self, kind, *fields):
         """One frame, now."""
@@ -203,6 +219,10 @@ class Tether:
             flags |= _FLAG_LEAK
         if control.battery_low:
             flags |= _FLAG_BATTERY
+        if control.killed:
+            flags |= _FLAG_KILLED
+        if control.ladder.found():
+            flags |= _FLAG_FOUND
         if set_point.age_us <= failsafe.HOLD_AFTER_US:
             flags |= _FLAG_FRESH
         roll = (3 * plane.roll_100nrad + 2618) // 5236  # of which 1745.329 are a hundredth of a degree
@@ -215,9 +235,9 @@ class Tether:
             depth, push, roll_push, pitch_push = [
                 min(max(value, -32768), 32767) for value in (depth, push, roll_push, pitch_push)
             ]
-        us, words = hal.now_us(), self._words
-        words[0] = us & 0xFFFF
-        words[1] = us >> 16
+        words = self._words
+        words[0] = hal.us_low
+        words[1] = hal.us_high
         words[2] = control.state | control.ladder.level << 8
         words[3] = flags
         words[4] = roll

@@ -6,10 +6,13 @@ import struct
 
 try:
     from .frames import *
+    from .parameters import TABLE as TABLE_OF_PARAMETERS
 except ImportError:  # beside it, as on a board
     from frames import *
+    from parameters import TABLE as TABLE_OF_PARAMETERS
 
-PROTOCOL = 2  # the newest; 1 has no yaw rate, and both ends still speak it
+# The newest; 1 has no yaw rate, 2 fewer parameters, and both tell the host's clock in ms, 3 in tenths of a second.
+PROTOCOL = 3
 OLDEST = 1
 MAX_PLAIN = 255  # bytes of a frame before COBS
 MAX_STUFFED = 257  # the same after COBS, without the closing zero
@@ -43,7 +46,7 @@ _FIELDS = (
     (
         SETPOINT,
         "SETPOINT",
-        "depth_100um roll_cdeg pitch_cdeg fx_mN fy_mN mz_100uNm servo_us_x4 light_permille valid ttl_ms host_ms",
+        "depth_100um roll_cdeg pitch_cdeg fx_mN fy_mN mz_100uNm servo_us_x4 light_permille valid ttl_ms host_time",
     ),
     (HELLO, "HELLO", "protocol schema_crc host_boot"),
     (
@@ -75,6 +78,8 @@ DISARMED, ARMED = 0, 1  # TELEM state
 
 # Bits of TELEM's flags
 FLAG_HELLO, FLAG_DEGRADED, FLAG_TARED, FLAG_LEAK, FLAG_BATTERY, FLAG_FRESH = 1, 2, 4, 8, 16, 32
+FLAG_FOUND = 128  # it surfaces, or has stopped, for something that the board found: a person has to look
+FLAG_KILLED = 64  # the kill switch's loop is open, or was, and nobody has armed since: no thruster has pulses
 MODE_SHIFT = 8  # two bits of the flags: the mode
 
 # MODE: keep depth and level; keep level, no vertical thrust; go up and stop there; turn one thruster, law off
@@ -87,6 +92,12 @@ REBOOT_MAGIC = 0xB007B007  # a flipped bit in another command shall not restart 
 # HELLO_ACK capabilities, and reset causes as MicroPython's machine module numbers them on an STM32; 5 is ours
 CAN_WATCHDOG, CAN_CURRENT, CAN_LEAK, CAN_KILL, SIMULATED = 1, 2, 4, 8, 16
 CAN_VERSION_2 = 32  # who greets in it is told the yaw rate; a board of version 1 knows no such bit
+CAN_VERSION_3 = 64
+PARAMETER_COUNTS = {
+    1: 20,
+    2: 20,
+    3: len(TABLE_OF_PARAMETERS),
+}  # how many there are, by version; new ones stand at the end
 NO_RATE = -32768  # TELEM yaw_rate_cdeg_s: no gyro, or it does not answer
 POWER_ON, BY_PIN, BY_WATCHDOG, BY_ORDER = 1, 2, 3, 5
 
@@ -117,6 +128,22 @@ REASONS = (
     "parameters unreadable",
     "watchdog",
     "control fault",
+    "kill switch",
+    "not holding: all thrust is spent on it",
+    "overturned",
+    "attitude contradicts the thrust that it takes",
+    "T1 gives little or nothing",
+    "T2 gives little or nothing",
+    "T3 gives little or nothing",
+    "T4 gives little or nothing",
+    "T1 pushes the wrong way",
+    "T2 pushes the wrong way",
+    "T3 pushes the wrong way",
+    "T4 pushes the wrong way",
+    "T1 and T2 are crossed",
+    "T2 and T3 are crossed",
+    "T3 and T4 are crossed",
+    "T4 and T1 are crossed",
 )
 
 ARM_CHECKS = (
@@ -133,15 +160,23 @@ ARM_CHECKS = (
     "fault latched",
     "control cycle too slow",
     "tare older than 12 h",
+    "kill switch open",
+    "wiring not checked: `aucamp board check`",
+    "upside down",
 )
 
 
 def schema_crc(protocol=PROTOCOL):
-    """CRC-32 of the message table of that version, which frames.SCHEMA_CRC has to be."""
+    """CRC-32 of the message table of that version, which frames.SCHEMA_CRC has to be; since version 3 also of names and
+    types of the parameters, in their order."""
     rows = TABLE
     if protocol == 1:  # whose one telemetry had this name
         rows = [(row[0], "TELEM") + row[2:] if row[0] == TELEM_1 else row for row in TABLE if row[0] != TELEM]
+    if protocol < 3:  # where the host's clock counted ms
+        rows = [row[:3] + (row[3].replace("host_time", "host_ms"),) for row in rows]
     text = "\n".join(["%02x %s %s %s" % row for row in rows])
+    if protocol >= 3:
+        text += "\n" + " ".join(["%s %d" % (row[0], row[4]) for row in TABLE_OF_PARAMETERS])
     return binascii.crc32(text.encode())
 
 

@@ -61,6 +61,8 @@ TEXTS: dict[str, tuple[str, str]] = {  # name -> unit and meaning, as people rea
     "slew_N": ("N", "largest change of a thruster's force in one cycle of 10 ms"),
     **{f"zero_{k}_us": ("us", f"neutral pulse of T{k}") for k in range(1, 9)},
     "pulse_frame_us": ("us", "from one pulse of a thruster to the next, as short as its ESC takes"),
+    "nudge_s": ("s", "from one test of T1-T4 in the dive to the next, 1 or more; 0: none"),
+    "wiring": ("", "what `aucamp board check` has passed; 0: nothing"),
 }
 
 IDS: dict[str, int] = {name: i for i, name in enumerate(parameters.NAMES)}
@@ -174,7 +176,7 @@ class Stm32:
         self._stop(wire.MODE, wire.SURFACE, 0)
 
     def emergency_stop(self) -> None:
-        """Motors off, and no arming until the board was restarted. For the bench: no order of a fleet does it."""
+        """Motors off, and no arming until the board was restarted, which `arm` does for this host, and for no other."""
         self._stop(wire.ESTOP)
 
     def mode(self, mode: Mode, thruster: int = 0) -> Future[Outcome]:
@@ -373,13 +375,15 @@ class Module(Protocol):
     @property
     def wants_armed(self) -> bool: ...
     def arm(self) -> None: ...
-    def disarm(self) -> None: ...
+    def emergency_stop(self) -> None: ...
     def surface(self) -> None: ...
+    def tare(self) -> object: ...
 
 
 class Motors:
     """Whether the motors of one robot turn, by the agent's start and by orders; the module is told so, and told again.
 
+    A stop is latched in the module: whatever becomes of this agent, only a person's order to arm undoes it.
     A robot that surfaced because its host was silent is called back when the host is there again, but never a robot
     that was ordered up or stopped.
     """
@@ -391,7 +395,10 @@ class Motors:
         self._told_ns = 0
 
     def obey(self, ordered: Ordered, now_ns: int) -> None:
-        """Do that from now on."""
+        """Do that from now on. A tare is done once, and refused by the module where its motors are on."""
+        if ordered == "tare":
+            self._module.tare()
+            return
         self._wish = ordered
         self._tell(now_ns)
 
@@ -413,7 +420,7 @@ class Motors:
         self._told_ns = now_ns
         match self._wish:
             case "off":
-                self._module.disarm()
+                self._module.emergency_stop()
             case "surface":
                 self._module.surface()
             case "arm":
@@ -422,6 +429,6 @@ class Motors:
 
 def surfacing_for_silence(telemetry: Telemetry) -> bool:
     """Whether the module, still armed, rises only because the host was silent for 3 s. The host is back now, and the
-    order to arm still holds; a leak, a low battery or a bad sensor is for a person to judge."""
-    own = wire.FLAG_LEAK | wire.FLAG_BATTERY | wire.FLAG_DEGRADED
+    order to arm still holds; a leak, a low battery or whatever else the board found is for a person to judge."""
+    own = wire.FLAG_LEAK | wire.FLAG_BATTERY | wire.FLAG_DEGRADED | wire.FLAG_FOUND
     return telemetry.armed and telemetry.ladder == SURFACE and not telemetry.flags & own

@@ -10,6 +10,7 @@ from types import MappingProxyType
 from typing import Literal, NamedTuple
 
 from msgspec import UNSET
+from msgspec.structs import replace
 
 from agent.core.step_io import SetPoint, Telemetry
 from hw.firmware import parameters, wire
@@ -68,6 +69,7 @@ class Orders:
         self.current: Order | None = None
         self._waiting: deque[Order] = deque()
         self._req_id = 0
+        self.parameters = len(parameters.NAMES)  # that the board has
 
     @property
     def idle(self) -> bool:
@@ -123,7 +125,7 @@ class Orders:
         if order is None or req_id != order.req_id or i >= len(parameters.NAMES):
             return None
         order.values[parameters.NAMES[i]] = float(f"{value:.6g}")  # float32 makes 0.1 into 0.10000000149
-        if order.kind == wire.PARAM_LIST and len(order.values) < len(parameters.NAMES):
+        if order.kind == wire.PARAM_LIST and len(order.values) < self.parameters:
             return None
         return self._end(order, wire.RESULTS[wire.OK])
 
@@ -164,8 +166,8 @@ class Greeting(NamedTuple):
     capabilities: int  # bits wire.CAN_...
 
 
-def set_point_fields(asked: SetPoint, now_ns: int) -> tuple[int, ...]:
-    """Fields of a SETPOINT; what is beyond the wire's range is clipped."""
+def set_point_fields(asked: SetPoint, now_ns: int, version: int = wire.PROTOCOL) -> tuple[int, ...]:
+    """Fields of a SETPOINT to a board of that version; what is beyond the wire's range is clipped."""
     i16 = wire.fixed
     return (
         i16(asked.depth_m, 1e4),
@@ -178,7 +180,7 @@ def set_point_fields(asked: SetPoint, now_ns: int) -> tuple[int, ...]:
         i16(asked.light, 1000, 0, 1000),
         wire.VALID_ALL,
         TTL_MS,
-        now_ns // 1_000_000 & 0xFFFFFFFF,
+        now_ns // (100_000_000 if version >= 3 else 1_000_000) & 0xFFFFFFFF,
     )
 
 
@@ -192,7 +194,7 @@ def telemetry_frame(fields: Sequence[int], now_ns: int, rate_cdeg_s: int = wire.
     """A TELEM that arrived at now_ns, without its last field, which is rate_cdeg_s; or a TELEM_1."""
     t_us, state, ladder, flags, *rest = fields
     zeta, (roll, pitch, depth), pulses, servos = rest[0:4], rest[4:7], rest[10:18], rest[18:22]
-    _light, battery_mv, _saturated, _bad, set_point_seq, _dirty, loop_us = rest[22:]
+    _light, battery_mv, saturated, bad, set_point_seq, dirty, loop_us = rest[22:]
     telemetry = Telemetry(
         t_ns=now_ns,
         board_us=t_us,
@@ -208,6 +210,9 @@ def telemetry_frame(fields: Sequence[int], now_ns: int, rate_cdeg_s: int = wire.
         flags=flags,
         loop_us=loop_us,
         rate_rad_s=UNSET if rate_cdeg_s == wire.NO_RATE else math.radians(rate_cdeg_s * 1e-2),
+        saturated=saturated or UNSET,
+        sensors_bad=bad or UNSET,
+        parameters_dirty=bool(dirty) or UNSET,
     )
     return TelemetryFrame(telemetry, bool(flags & wire.FLAG_HELLO), set_point_seq)
 
@@ -339,6 +344,7 @@ class HostProtocol:
 
     def __init__(self, host_boot: int) -> None:
         self._arming = Arming()
+        self._stop: Literal["none", "latched", "rebooting"] = "none"  # an emergency stop of this host's
         self.telemetry: deque[Telemetry] = deque()
         self.lines: deque[StatusText] = deque(maxlen=KEEP_LINES)
         self._host_boot = host_boot
@@ -350,6 +356,7 @@ class HostProtocol:
         self._counts = {"rx_ok": 0, "rx_bad": 0, "lost": 0, "reconnects": -1, "dropped": 0}
         self._latency_ns: int | None = None
         self._board_rx, self._board_late = (0, 0), 0
+        self._status: dict[str, float] = {}  # for the telemetry that comes next
         self._last_text = ""
         self._begin()
 
@@ -400,15 +407,23 @@ class HostProtocol:
     def set_point(self, asked: SetPoint, now_ns: int) -> bytes:
         """The frame of a set-point; what is beyond the wire's range is clipped."""
         self._sent_ns[self._writer.seq] = now_ns
-        return self._frame(wire.SETPOINT, *set_point_fields(asked, now_ns))
+        return self._frame(
+            wire.SETPOINT, *set_point_fields(asked, now_ns, self._version if self._agreed else wire.OLDEST)
+        )
 
     def arm(self) -> None:
-        """Ask for arming as soon as the board can; a refusal that waiting cannot cure ends it."""
+        """Ask for arming as soon as the board can; a refusal that waiting cannot cure ends it.
+
+        A board that this host stopped is rebooted first: the person who arms it knows of the stop. One that latched for
+        another reason, or for another host, is not.
+        """
         self._arming.want()
 
     def stop(self, kind: int, *fields: float) -> None:
         """DISARM, ESTOP, or MODE to surface, ahead of any other command."""
         self._arming.wanted = False
+        if kind == wire.ESTOP:
+            self._stop = "latched"
         self._orders.overtake(Order(kind, fields))
 
     def ask(self, kind: int, *fields: float) -> Future[Outcome]:
@@ -440,7 +455,12 @@ class HostProtocol:
         current = self._orders.current
         idle = self._hello and self._orders.idle
         if idle and self._arming.due(now_ns):
-            self._orders.ask(Order(wire.ARM))
+            if self._stop == "none":
+                self._orders.ask(Order(wire.ARM))
+            else:
+                self._stop = "rebooting"
+                self._orders.ask(Order(wire.REBOOT, (wire.REBOOT_MAGIC,)))
+                self._arming.later(now_ns)
         order = self._orders.due(now_ns, ready=self._hello)
         if order is not None:
             out += self._frame(order.kind, order.req_id, self._boot_id or 0, *order.fields)
@@ -476,7 +496,7 @@ class HostProtocol:
         elif kind == wire.PARAM_VALUE:
             self._on_value(*wire.unpack(kind, payload))
         elif kind == wire.STATUS:
-            self._board_rx, self._board_late = (fields := wire.unpack(kind, payload))[5:7], fields[8]
+            self._on_status(*wire.unpack(kind, payload))
         elif kind == wire.EVENT:
             self._on_event(*wire.unpack(kind, payload))
         elif kind == wire.LOG:
@@ -487,19 +507,23 @@ class HostProtocol:
     ) -> None:
         crc, count, capabilities = rest
         known_protocol = wire.OLDEST <= protocol <= wire.PROTOCOL and schema == wire.schema_crc(protocol)
-        if not known_protocol or count != len(parameters.TABLE):
+        if not known_protocol or count != wire.PARAMETER_COUNTS[protocol]:
             self.say("error", "the board speaks another protocol; flash the firmware of this release")
             return
-        self._agreed = protocol == wire.PROTOCOL or not capabilities & wire.CAN_VERSION_2
-        if not self._agreed and self._version != wire.PROTOCOL:
-            self._version, self._hello_due_ns = wire.PROTOCOL, None  # it knows more: greet again, now
+        newest = 3 if capabilities & wire.CAN_VERSION_3 else 2 if capabilities & wire.CAN_VERSION_2 else wire.OLDEST
+        self._agreed = protocol == newest
+        if not self._agreed and self._version != newest:
+            self._version, self._hello_due_ns = newest, None  # it knows more: greet again, now
+        self._orders.parameters = count
         if self._hello and boot_id == self._boot_id:
             return  # a greeting that was said already
         known = self.greeting
         name = build.decode(errors="replace")
         self.greeting = Greeting(name, uid.hex(), boot_id, cause, crc, capabilities)
         if boot_id != self._boot_id and self._boot_id is not None:
-            self._say(self._arming.give_up("the board has restarted; arm again"))
+            if self._stop != "rebooting":
+                self._say(self._arming.give_up("the board has restarted; arm again"))
+            self._stop = "none"
         self._boot_id = boot_id
         self._hello = True
         self.say("info", f"board {name}, boot {boot_id:08x}")
@@ -522,7 +546,17 @@ class HostProtocol:
         if len(self.telemetry) == KEEP_TELEMETRY:
             self.telemetry.popleft()
             self._counts["dropped"] += 1
-        self.telemetry.append(telemetry)
+        self.telemetry.append(replace(telemetry, **self._status) if self._status else telemetry)
+        self._status = {}
+
+    def _on_status(
+        self, _t_us: int, _mv: int, current_10ma: int, temperature_cc: int, _loop_us: int, *rest: int
+    ) -> None:
+        rx_ok, rx_bad, heap_free_16, self._board_late, _cause, _leak = rest
+        self._board_rx = rx_ok, rx_bad
+        self._status = {"current_a": current_10ma * 1e-2, "heap_free_b": heap_free_16 * 16}
+        if temperature_cc:  # 0: no sensor has told one
+            self._status["temperature_c"] = temperature_cc * 1e-2
 
     def _on_ack(self, req_id: int, kind: int, result: int, _boot_id: int) -> None:
         if self._orders.on_ack(req_id, kind, result, self._now_ns) is None:
@@ -531,6 +565,10 @@ class HostProtocol:
             self._hello = self._agreed = False
         if kind == wire.ARM:
             self._arming.answered(result == wire.OK, self._now_ns)
+        elif kind == wire.TARE and result == wire.OK:
+            self.say("info", "tared")
+        elif kind == wire.TARE:
+            self.say("error", "not tared: lay it down in air, still, motors off, and order again")
         elif kind in (wire.DISARM, wire.ESTOP):
             self._arming.armed = False  # by the host's own order: nothing to report
         elif kind == wire.PARAM_SAVE and result == wire.OK:

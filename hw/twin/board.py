@@ -31,6 +31,7 @@ from agent.clock import machine
 from agent.core.config import Struct, convert, read_toml
 from hw.firmware import bus
 from hw.firmware.bus import ACT, ACT_SIZE, TICK_US, TIMES
+from hw.firmware.failsafe import WIRING
 from hw.firmware.wire import BY_WATCHDOG, POWER_ON
 
 # --- board ---
@@ -53,7 +54,8 @@ RESTART_US = 1_000_000  # a firmware that ends at once is started once a second
 
 
 class Board:
-    """A control module between its cable and its bus. Nothing happens before start(); time is the clock of `tick`.
+    """A control module between its cable and its bus, tared, its wiring checked. Nothing happens before start(); time
+    is the clock of `tick`.
 
     `settings` go to the flash beside the tare, for example {"law": "pid"}. `times`: what a cycle takes on this board;
     without it what it is estimated to take. `cable`: what joins it to its agent; without it a serial port.
@@ -74,7 +76,7 @@ class Board:
         self.port = folder / f"{robot}.serial"
         self._flash = folder / f"{robot}.flash.json"
         self._log = folder / f"{robot}.firmware.log"
-        self._burnt = {"tare_pa": [float(p) for p in tare_pa], **(settings or {})}
+        self._burnt = {"tare_pa": [float(p) for p in tare_pa], "wiring": WIRING, **(settings or {})}
         self._command = [interpreter, str(firmware)]
         self._times = read_table().times if times is None else times
         self._percent = 100
@@ -118,6 +120,8 @@ class Board:
         current_10ma: int = CURRENT_10MA,
         leak: bool = False,
         yaw_rate_cdeg_s: int = bus.NO_RATE,
+        open_loop: bool = False,
+        gravity_mg: tuple[int, int] = bus.NO_GRAVITY,
     ) -> None:
         """One tick of the hardware: time goes on, and this is what the sensors read."""
         self._clock_us = clock_us
@@ -134,7 +138,8 @@ class Board:
         if begins_us is not None:
             sensors = (pressure_pa, battery_mv, current_10ma, leak, answered)
             waited_us = begins_us - since_boot_us
-            record = bus.tick(begins_us, *sensors, waited_us, self._percent, yaw_rate_cdeg_s)
+            motion = yaw_rate_cdeg_s, open_loop, gravity_mg
+            record = bus.tick(begins_us, *sensors, waited_us, self._percent, *motion)
             running.tick(begins_us, record)
 
     def act(self, patience_s: float) -> Act | None:
@@ -511,12 +516,14 @@ class SensorFaults:
         self._stuck_pa = np.full((robots, 4), np.nan)
         self._offset_pa = np.zeros((robots, 4))
         self._last_pa = np.zeros((robots, 4))
+        self._order = np.tile(np.arange(4), (robots, 1))  # which sensor hangs on each channel
         self._any = False
 
     def corrupt(self, readings_pa: NDArray[np.float64]) -> NDArray[np.float64]:
         """(n, 4) readings as they arrive, from those of sensors that are well; a dead one reads 0."""
         if self._any:
             stuck = ~np.isnan(self._stuck_pa)
+            readings_pa = np.take_along_axis(readings_pa, self._order, axis=1)
             readings_pa = np.where(stuck, self._stuck_pa, readings_pa + self._offset_pa)
             bits = (np.array(self.answered)[:, None] >> np.arange(4)) & 1
             readings_pa = readings_pa * bits
@@ -537,6 +544,12 @@ class SensorFaults:
     def shift(self, robot: int, sensor: int, offset_pa: float) -> None:
         """The sensor reads too much, by more each time that this is called."""
         self._offset_pa[robot, self._index(sensor)] += offset_pa
+        self._any = True
+
+    def cross(self, robot: int, first: int, second: int) -> None:
+        """Two sensors change places on the bus. Faults are counted by places."""
+        a, b = self._index(first), self._index(second)
+        self._order[robot, [a, b]] = self._order[robot, [b, a]]
         self._any = True
 
     def mend(self, robot: int, sensor: int) -> None:

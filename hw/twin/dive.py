@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple, assert_never
+from typing import Literal, NamedTuple, assert_never
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -23,6 +23,7 @@ from hw.twin.creatures import Attitude, Lookout, School
 from hw.twin.physics.body import (
     BODY,
     OPEN_V,
+    Escs,
     Lamps,
     cast_off,
     current_a,
@@ -38,10 +39,12 @@ from hw.twin.scene import (
     AnyEvent,
     Battery,
     CastOff,
+    Crossed,
     CurrentSet,
     FirmwareHang,
     GyroDead,
     GyroStuck,
+    KillSwitch,
     Leak,
     Occlude,
     PowerCut,
@@ -98,6 +101,7 @@ class Dive:
         self.sensor_faults = SensorFaults(len(robots))
         self.battery_v = np.full(len(robots), OPEN_V)  # without load
         self.lamps = Lamps(seed, self.robots)
+        self.escs = Escs(len(robots))
         self.boards: list[Board] = []
         self.answered_s = [0.0] * len(robots)  # how long, on the wall, the last tick waited for each firmware
         self.history = History(len(robots), start_ns, len(scene.creature))
@@ -109,6 +113,7 @@ class Dive:
         self._mounting, self._size_m, self._surface_m = fleet.body, np.array(fleet.tank.size_m), surface_m
         self._flow = Flow(seed, self.robots, scene.current, scene.tether_pull)
         self._pulses_us = np.zeros((len(robots), 8))  # no pulses before a board drives its pins
+        self._wired = np.tile(np.arange(8), (len(robots), 1))  # the pin that each thruster hangs on
         self._to_show: list[tuple[int, int, Act]] = []  # pins to come: since when in us, number of the robot
         self._nominal_deg = np.zeros((len(robots), 4))
         self._water_pa = np.zeros((len(robots), 4))
@@ -147,16 +152,19 @@ class Dive:
                 self.ticks * TICK_NS // 1000,
                 self._readings_pa[i],
                 self.sensor_faults.answered[i],
-                round(self._supply_v[i] * 1000),
+                round(float(self.supply_v[i]) * 1000),
                 round(self._drawn_a[i] * 100),
                 self.sensor_faults.leak[i],
                 self._rates_cdeg_s[i],
+                self.escs.open[i],
+                self._gravity_mg[i],
             )
 
     def move(self) -> None:
         """Physics and sensors alone."""
         now_us = self.ticks * TICK_US
         until_us = now_us + TICK_US
+        self.escs.tick(self._pulses_us, self.supply_v, TICK_NS * 1e-9)
         if self._flow.active:
             self._flow.tick(self.states)
         for row in sorted((row for row in self._to_show if row[0] < until_us), key=lambda row: row[:2]):
@@ -175,7 +183,8 @@ class Dive:
         whole, rest_us = divmod(max(until_us - now_us, 0), STEP_US)
         for dt_s, steps in ((STEP_S, whole), (rest_us * 1e-6, 1 if rest_us else 0)):
             if steps:
-                wet = (self.bodies, self.states, self._pulses_us, self._nominal_deg, self._size_m, self._surface_m)
+                driven_us = self.escs.driven_us(self._pulses_us)
+                wet = (self.bodies, self.states, driven_us, self._nominal_deg, self._size_m, self._surface_m)
                 advance(*wet, dt_s, steps)
         return max(now_us, until_us)
 
@@ -192,10 +201,11 @@ class Dive:
             add_waves(self._waves, self._size_m[0], self._surface_m, t_s, self.bodies, self.states, self._water_pa)
         self._readings_pa = self.sensor_faults.corrupt(self.sensors.sample(self._water_pa, t_s)).tolist()
         self._rates_cdeg_s = self.gyros.read(self.states["rates_rad_s"])
+        self._gravity_mg = self.gyros.gravity_mg(self.states)
         drawn_a = current_a(self.states["thrust_n"]) + self.lamps.current_a
         supply = supply_v(self.battery_v, drawn_a)
         self.states["thrust_loss"] = thrust_loss(supply)
-        self._drawn_a, self._supply_v = drawn_a.tolist(), supply.tolist()
+        self._drawn_a, self.supply_v = drawn_a.tolist(), supply
 
     def _actuate(self, i: int, act: Act) -> None:
         self._to_show.append((act.since_us, i, act))
@@ -203,7 +213,7 @@ class Dive:
             self.states[i]["held"] = 0  # the crew lets the robot go, once
 
     def _show(self, i: int, act: Act) -> None:
-        self._pulses_us[i] = act.pulses_us
+        self._pulses_us[i] = np.take(act.pulses_us, self._wired[i])
         self.lamps.asked[i] = act.lamp_permille / 1000
         for k, servo_us in enumerate(act.servos_us):
             if servo_us:  # a servo without pulses stays where it is
@@ -242,6 +252,21 @@ class Dive:
         """Thruster 1 to 8 gives so many times what it gave; 0: dead."""
         self.bodies[self._index(robot)]["thrust_gain"][thruster - 1] *= gain
 
+    def turn_kill_switch(self, robot: str, to: Literal["open", "closed", "broken"]) -> None:
+        """Open it: its thrusters have no pulses, whatever the firmware does. A broken wire stays open."""
+        self.escs.turn(self._index(robot), to)
+
+    def cross_thrusters(self, robot: str, first: int, second: int) -> None:
+        """Two of thrusters 1 to 8 hang on each other's pins."""
+        wired = self._wired[self._index(robot)]
+        wired[[first - 1, second - 1]] = wired[[second - 1, first - 1]]
+
+    def cross_sensors(self, robot: str, first: int, second: int) -> None:
+        """Two of pressure sensors 1 to 4 hang on each other's channels, each with its own tare."""
+        i = self._index(robot)
+        self.sensor_faults.cross(i, first, second)
+        self.tare_pa[i, [first - 1, second - 1]] = self.tare_pa[i, [second - 1, first - 1]]
+
     def unplug(self, robot: str, for_s: float) -> None:
         """Pull the serial cable."""
         self.boards[self._index(robot)].unplug(round(for_s * 1e6))
@@ -249,6 +274,7 @@ class Dive:
     def cut_power(self, robot: str, for_s: float) -> None:
         """Take the power from board and thrusters."""
         self.boards[self._index(robot)].cut_power(round(for_s * 1e6))
+        self.escs.lose_power(self._index(robot))
 
     def hang_firmware(self, robot: str) -> None:
         """Stop its process, until the watchdog resets it."""
@@ -295,6 +321,10 @@ def apply(event: AnyEvent, dive: Dive) -> None:
             dive.stick_sensor(event.robot, event.sensor)
         case SensorOffset():
             dive.shift_sensor(event.robot, event.sensor, event.offset_m)
+        case Crossed(what="sensors"):
+            dive.cross_sensors(event.robot, *event.pair)
+        case Crossed():
+            dive.cross_thrusters(event.robot, *event.pair)
         case SensorWell():
             dive.mend_sensor(event.robot, event.sensor)
         case GyroDead() | GyroStuck():
@@ -307,6 +337,8 @@ def apply(event: AnyEvent, dive: Dive) -> None:
             dive.scale_thruster(event.robot, event.thruster, 0.0)
         case ThrusterGain():
             dive.scale_thruster(event.robot, event.thruster, event.gain)
+        case KillSwitch():
+            dive.turn_kill_switch(event.robot, event.to)
         case SerialUnplug():
             dive.unplug(event.robot, event.for_s)
         case PowerCut():

@@ -93,6 +93,19 @@ class ThrusterGain(Fault, frozen=True, kw_only=True, tag="thruster_gain"):
     gain: float  # on what it gave before; negative: mounted the wrong way round
 
 
+class Crossed(Fault, frozen=True, kw_only=True, tag="crossed"):
+    """Two thrusters, or two pressure sensors, hang on each other's wires."""
+
+    what: Literal["thrusters", "sensors"]
+    pair: tuple[Sensor, Sensor]  # of the four at the corners
+
+
+class KillSwitch(Fault, frozen=True, kw_only=True, tag="kill_switch"):
+    """The loop of the kill switch is opened or closed; a broken wire is open for good."""
+
+    to: Literal["open", "closed", "broken"]
+
+
 class SerialUnplug(Fault, frozen=True, kw_only=True, tag="serial_unplug"):
     for_s: Positive
 
@@ -165,6 +178,8 @@ AnyEvent = (
     | Battery
     | ThrusterDead
     | ThrusterGain
+    | Crossed
+    | KillSwitch
     | SerialUnplug
     | PowerCut
     | FirmwareHang

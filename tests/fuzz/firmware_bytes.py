@@ -65,7 +65,10 @@ class Life:
 
     def __init__(self, rng: random.Random) -> None:
         self.rng = rng
-        flash: dict[str, Any] = {"tare_pa": [AIR_PA + rng.uniform(-200, 200) for _ in range(4)]}
+        flash: dict[str, Any] = {
+            "tare_pa": [AIR_PA + rng.uniform(-200, 200) for _ in range(4)],
+            "wiring": failsafe.WIRING,
+        }
         for name, _, lowest, highest, kind in rng.sample(parameters.TABLE, rng.randrange(5)):
             value = rng.choice((lowest, highest, rng.uniform(lowest, highest)))
             flash[name] = round(value) if kind == parameters.WHOLE else value

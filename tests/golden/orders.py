@@ -36,6 +36,7 @@ ORDERS = (
     Said(5.0, "surface"),
     Said(5.5, "arm"),
     Said(6.0, "disarm"),
+    Said(6.2, "tare"),
     Said(6.5, "arm", again=True),
     Said(6.5, "arm", seen_s=5.5),
     Said(6.5, "look", {"pan_deg": 0.0}, seen_s=0.5),

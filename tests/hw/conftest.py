@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from hw.firmware import failsafe
 from tests.hw.desk import MICROPYTHON, Desk
 from tests.hw.firmware.nominal_plant import AIR_PA
 
@@ -29,7 +30,14 @@ def put_on_desk(tmp_path: Path) -> Iterator[Callable[..., Desk]]:
     desks: list[Desk] = []
 
     def put(interpreter: str, flash: dict[str, Any] | None = None, times: str = "") -> Desk:
-        desks.append(Desk(interpreter, tmp_path, {"tare_pa": [AIR_PA] * 4} if flash is None else flash, times))
+        desks.append(
+            Desk(
+                interpreter,
+                tmp_path,
+                {"tare_pa": [AIR_PA] * 4, "wiring": failsafe.WIRING} if flash is None else flash,
+                times,
+            )
+        )
         return desks[-1]
 
     yield put

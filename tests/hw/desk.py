@@ -41,6 +41,7 @@ class Desk:
         self.battery_mv = 15000
         self.yaw_rate = bus.NO_RATE
         self.leak = 0
+        self.open_loop = False
         self.frame_us = self.pins_us = self.busy_us = 0  # in the last answer, as hw.firmware.bus.ACT
         self.frames: list[tuple[int, tuple[Any, ...]]] = []
         self.framer = wire.Framer(lambda kind, _seq, payload: self.frames.append((kind, wire.unpack(kind, payload))))
@@ -73,7 +74,7 @@ class Desk:
         for _ in range(n):
             self.now_us += 10_000
             sensors = (self.pressure_pa, self.battery_mv, 100, self.leak, self.answered)
-            self.bus.sendall(bus.tick(self.now_us, *sensors, yaw_rate=self.yaw_rate))
+            self.bus.sendall(bus.tick(self.now_us, *sensors, yaw_rate=self.yaw_rate, open_loop=self.open_loop))
             answer = b""
             while len(answer) < bus.ACT_SIZE:
                 chunk = self.bus.recv(bus.ACT_SIZE - len(answer))
@@ -119,7 +120,18 @@ class Desk:
     def set_point(self, depth_m: float = 0.3, servos: tuple[int, int, int, int] = (1500, 1500, 1500, 1500)) -> None:
         """Send a set-point, and tick until the telemetry shows that it has arrived."""
         seq = self.say(
-            wire.SETPOINT, round(depth_m * 1e4), 0, 0, 0, 0, 0, *servos, 300, wire.VALID_ALL, 500, self.now_us // 1000
+            wire.SETPOINT,
+            round(depth_m * 1e4),
+            0,
+            0,
+            0,
+            0,
+            0,
+            *servos,
+            300,
+            wire.VALID_ALL,
+            500,
+            self.now_us // 100_000,
         )
         self.until(lambda: any(told[30] == seq for told in (self.heard(wire.TELEM) or self.heard(wire.TELEM_1))[-1:]))
 

@@ -70,10 +70,11 @@ def test_each_event_leads_from_each_phase_to_one(step, phases, events, table) ->
     assert {phase: tuple(step(phase, event) for event in get_args(events)) for phase in get_args(phases)} == table
 
 
-MOTORS = {  # off, surface, arm
-    "off": ("off", "off", "off"),
-    "surface": ("off", "surface", "surface"),
-    "arm": ("off", "surface", "arm"),
+MOTORS = {  # tare, off, surface, arm
+    "tare": ("tare", "off", "surface", "arm"),
+    "off": ("off", "off", "off", "off"),
+    "surface": ("surface", "off", "surface", "surface"),
+    "arm": ("arm", "off", "surface", "arm"),
 }
 
 

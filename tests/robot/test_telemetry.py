@@ -45,7 +45,7 @@ class Stepped:
         return state
 
 
-def module(now_ns: int, armed: bool = True, ladder: int = 0, battery_v: float = 12.0) -> Telemetry:
+def module(now_ns: int, armed: bool = True, ladder: int = 0, battery_v: float = 12.0, **more: Any) -> Telemetry:
     return Telemetry(
         t_ns=now_ns,
         board_us=1,
@@ -59,6 +59,7 @@ def module(now_ns: int, armed: bool = True, ladder: int = 0, battery_v: float = 
         armed=armed,
         ladder=ladder,
         flags=1,
+        **more,
         loop_us=5000,
     )
 
@@ -84,6 +85,20 @@ def test_battery_and_failsafe_level_are_as_the_module_last_said():
     assert (silent.armed, silent.battery_v, silent.ladder) == (None, 11.8, 2)
     again = robot.step(telemetry={"battery_v": 12.504, "ladder": 0})
     assert (again.battery_v, again.ladder) == (12.5, 0)
+
+
+def test_all_that_the_module_says_is_in_the_state_and_nothing_is_left_there():
+    robot = Stepped()
+    assert robot.step(telemetry={}).sensors_bad is UNSET
+    status = {"current_a": 3.14, "temperature_c": 11.97, "heap_free_b": 51_300}
+    said = robot.step(1, telemetry={"sensors_bad": 0b0101, "saturated": 2, "parameters_dirty": True, **status})
+    said = robot.step(telemetry={"sensors_bad": 0b0101, "saturated": 2, "parameters_dirty": True})
+    assert (said.sensors_bad, said.saturated, said.unsaved) == ((1, 3), "T5-T8", True)
+    assert (said.current_a, said.water_c, said.heap_free_kb) == (3.1, 12.0, 51.3), "which is said once a second"
+    assert "pressure sensor bad: 1 3" in said.faults
+    after = robot.step(telemetry={})
+    assert after.sensors_bad is after.saturated is after.unsaved is UNSET and after.faults == ("no frames",)
+    assert ("info", "over: pressure sensor bad") in robot.log
 
 
 def test_a_failsafe_is_not_over_because_telemetry_stops():

@@ -12,6 +12,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from hw.firmware import failsafe
 from tests.hw.desk import Desk
 from tests.hw.firmware.bare_board import firmware_main
 from tests.hw.firmware.nominal_plant import AIR_PA
@@ -24,7 +25,7 @@ class DeskInside(Desk):
     armed = 0  # by the pins, while it is `ticking`
 
     def __init__(self, directory: Path) -> None:
-        super().__init__(sys.executable, directory, {"tare_pa": [AIR_PA] * 4})
+        super().__init__(sys.executable, directory, {"tare_pa": [AIR_PA] * 4, "wiring": failsafe.WIRING})
         self.port = os.ttyname(self.slave)
 
     def power_on(self) -> None:

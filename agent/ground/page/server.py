@@ -26,6 +26,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import msgspec
 
+from agent.capabilities.light.allocate import FULL_V
 from agent.clock.clock import Clock
 from agent.core.codec import prepare
 from agent.core.config import ConfigError, Fleet, Target, inside
@@ -229,7 +230,7 @@ def hello(
         "validity_s": fleet.estimation.validity_s,
         "iteration_s": fleet.estimation.iteration_s,
         "preview_hz": fleet.link.preview_hz,
-        "battery": {"near_v": NEAR_V, "surfaces_v": SURFACES_V},
+        "battery": {"full_v": FULL_V, "near_v": NEAR_V, "surfaces_v": SURFACES_V},
         "surveys": fleet.coverage is not None,
         "lighting": fleet.lighting is not None,
         "robots": [

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -183,6 +184,49 @@ def static_thrust_n(pulse_us: float, neutral_us: float, gain: float) -> float:
 def lagged_thrust_n(force_n: float, target_n: float, lag_s: float, dt_s: float) -> float:
     """Force after dt_s on the way to target_n, exact for a constant target."""
     return target_n + (force_n - target_n) * math.exp(-dt_s / lag_s)
+
+
+# --- ESC: one that has just got power, or has long had no pulses, gives nothing until it has heard what is neutral ---
+
+ESC_LIVES_V = 6.0
+ESC_STARTS_S, ESC_LEARNS_S = 1.5, 1.0  # its tunes, then neutral pulses; assumed, of the size of common ones
+ESC_SLEEPS_S = 3.0  # without pulses
+NEUTRAL_WITHIN_US = 40.0
+
+
+class Escs:
+    """Those of all robots, and the loops of their kill switches; at first all are awake, and all loops closed."""
+
+    def __init__(self, robots: int) -> None:
+        self.open = [False] * robots  # loops: no pulse gets through
+        self._broken = [False] * robots
+        self._heard_s = np.full((robots, 8), ESC_LEARNS_S)  # of neutral; negative: it starts up
+        self._silent_s = np.zeros((robots, 8))
+        self._through = np.ones((robots, 8), bool)
+
+    def turn(self, robot: int, to: Literal["open", "closed", "broken"]) -> None:
+        """The kill switch. A broken wire stays open."""
+        self._broken[robot] |= to == "broken"
+        self.open[robot] = to != "closed" or self._broken[robot]
+
+    def lose_power(self, robot: int) -> None:
+        """They begin anew."""
+        self._heard_s[robot] = -ESC_STARTS_S
+
+    def tick(self, pulses_us: NDArray[np.float64], volts: NDArray[np.float64], dt_s: float) -> None:
+        """Hear pulses (n, 8), 0: none, for dt_s on a supply of so many volts (n,)."""
+        pulses_us = np.where(np.array(self.open)[:, None], 0.0, pulses_us)
+        self._silent_s = np.where(pulses_us > 0, 0.0, self._silent_s + dt_s)
+        awake = self._heard_s >= ESC_LEARNS_S
+        neutral = np.abs(pulses_us - NEUTRAL_US) <= NEUTRAL_WITHIN_US
+        heard_s = np.where((self._heard_s < 0) | neutral | awake, self._heard_s + dt_s, 0.0)
+        heard_s = np.where(awake & (self._silent_s > ESC_SLEEPS_S), 0.0, np.minimum(heard_s, ESC_LEARNS_S))
+        self._heard_s = np.where(volts[:, None] < ESC_LIVES_V, -ESC_STARTS_S, heard_s)
+        self._through = (self._heard_s >= ESC_LEARNS_S) & ~np.array(self.open)[:, None]
+
+    def driven_us(self, pulses_us: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Pulses (n, 8) as far as they have an effect."""
+        return pulses_us if self._through.all() else np.where(self._through, pulses_us, 0.0)
 
 
 # --- gimbal servo: commanded angle -> scale and zero error -> lag and slew of the motor -> play of the gears ---

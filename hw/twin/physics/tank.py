@@ -16,9 +16,11 @@ from numpy.typing import NDArray
 
 from agent.core.messages import Vector
 from hw.compiled import compiled
+from hw.firmware.bus import NO_GRAVITY
 from hw.firmware.wire import NO_RATE
 from hw.twin.physics.body import (
     F_MAX_N,
+    cross,
     lagged_thrust_n,
     motor_deg_after,
     shaft_deg_after,
@@ -28,6 +30,7 @@ from hw.twin.physics.body import (
     turned,
 )
 from hw.twin.physics.forces import (
+    GRAVITY_M_S2,
     add_contacts,
     add_force,
     add_lines,
@@ -251,6 +254,10 @@ NOISE_DEG_S = math.hypot(0.0028 * math.sqrt(LOW_PASS_HZ), 0.05)  # of one readin
 WALK_DEG_S = 0.002  # per root second, of the offset: 0.005 deg/s for each kelvin by which it warms
 FULL_SCALE_CDEG_S = 25_013
 
+# Its accelerometer, in thousandths of gravity, of 4 g full scale: zero offsets of the data sheet; what thrusters shake
+# is an estimate.
+OFFSET_MG, SHAKE_MG, FULL_SCALE_MG = 20.0, 20.0, 4000.0
+
 
 class Gyros:
     """The gyros of a fleet, where it has them; each robot's errors come from a stream of its own."""
@@ -267,6 +274,25 @@ class Gyros:
         self._robots = list(robots)
         self._failed: dict[int, int] = {}  # what broken ones say
         self._told = [NO_RATE] * len(robots)
+        self._shakes = [generator(seed, robot, "accelerometer") for robot in robots] if fitted else []
+        self._offset_mg = np.array([rng.normal(0, OFFSET_MG, 3) for rng in self._shakes]).reshape(-1, 3)
+        self._before_m_s: NDArray[np.float64] | None = None
+
+    def gravity_mg(self, states: NDArray[np.void]) -> list[tuple[int, int]]:
+        """What each accelerometer says a tick after the last, upwards and level; NO_GRAVITY where none answers."""
+        if not self._shakes:
+            return [NO_GRAVITY] * len(self._robots)
+        says = []
+        for i, (state, rng) in enumerate(zip(states, self._shakes, strict=True)):
+            q, v, w = (tuple(state[name].tolist()) for name in ("quaternion", "velocity_m_s", "rates_rad_s"))
+            before_m_s = v if self._before_m_s is None else self._before_m_s[i]
+            speeding_m_s2 = (np.array(v) - before_m_s) / TICK_S + cross(w, v)
+            mg = 1000.0 * (np.array(to_body(q, (0.0, 0.0, 1.0))) + speeding_m_s2 / GRAVITY_M_S2)
+            mg = np.clip(mg + self._offset_mg[i] + rng.normal(0, SHAKE_MG, 3), -FULL_SCALE_MG, FULL_SCALE_MG)
+            failed = self._failed.get(i) == NO_RATE
+            says.append(NO_GRAVITY if failed else (round(mg[2]), round(math.hypot(mg[0], mg[1]))))
+        self._before_m_s = states["velocity_m_s"].copy()
+        return says
 
     def read(self, rates_rad_s: NDArray[np.float64]) -> list[int]:
         """What each says a tick after the last: hundredths of a degree a second, NO_RATE of a robot without one.

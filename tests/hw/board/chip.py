@@ -20,11 +20,11 @@ from typing import Any
 
 import pytest
 
-from hw.firmware import emitters_unix, pwm
+from hw.firmware import emitters_unix, wiring
 from tests.hw.board.fake_gyro import FakeGyro
 from tests.hw.board.wires import Wires
 
-FIRMWARE = Path(pwm.__file__).parent
+FIRMWARE = Path(wiring.__file__).parent
 TICK_US = 10_000
 
 
@@ -40,7 +40,8 @@ class Chip:
         self.us = 2**30 - 25_000  # of the clock, whose reading wraps soon
         self.next_tick_us = 0
         self.on_tick: Callable[[object], None] | None = None
-        self.levels: dict[str, int] = {}  # of input pins; an open one with a pull reads as that
+        # Of input pins; an open one with a pull reads as that. The loop of the kill switch is closed.
+        self.levels: dict[str, int] = {"PE15": 0, "PA6": 0}
         self.volts = {"PC1": 1.4, "PC2": 0.5}
         self.timers: dict[int, Timer] = {}
         self.wires = Wires()
@@ -132,7 +133,7 @@ class Chip:
         def timer(number: int, **settings: Any) -> Timer:
             return chip.timer(number, **settings)
 
-        timer.BRK_OFF, timer.BRK_LOW = Timer.BRK_OFF, Timer.BRK_LOW  # type: ignore[attr-defined]
+        timer.BRK_OFF, timer.BRK_HIGH = Timer.BRK_OFF, Timer.BRK_HIGH  # type: ignore[attr-defined]
 
         def reset() -> None:
             chip.cause = 2  # whoever asks afterwards hears of the reset pin
@@ -155,7 +156,15 @@ class Chip:
             unique_id=lambda: bytes(12),
             reset_cause=lambda: chip.cause,
         )
-        stm = SimpleNamespace(RTC=0x40002800, RTC_BKP19R=156, mem32=Backup(self))
+        stm = SimpleNamespace(
+            RTC=0x40002800,
+            RTC_BKP19R=156,
+            mem32=Backup(self),
+            TIM1=0x40010000,
+            TIM8=0x40010400,
+            TIM_BDTR=68,
+            mem16=BreakRegisters(self),
+        )
         return {"pyb": pyb, "machine": machine, "stm": stm, "micropython": emitters_unix}
 
     def timer(self, number: int, **settings: Any) -> Timer:
@@ -180,16 +189,27 @@ class Backup:
         self._chip.backup[address] = value
 
 
+class BreakRegisters:
+    """Of timers 1 and 8: whether their outputs are on."""
+
+    def __init__(self, chip: Chip) -> None:
+        self._chip = chip
+
+    def __getitem__(self, address: int) -> int:
+        timer = self._chip.timers.get({0x40010044: 1, 0x40010444: 8}[address])
+        return 0x8000 if timer and timer.on else 0
+
+
 class Timer:
     """One, by the rules of its registers. `on`: whether break, or nothing, keeps its outputs from the pins."""
 
-    PWM, BRK_OFF, BRK_LOW = 0, 0, 1
+    PWM, BRK_OFF, BRK_HIGH = 0, 0, 2
     BREAK_PINS = {1: "PE15", 8: "PA6"}  # noqa: RUF012
 
     def __init__(self, chip: Chip, number: int) -> None:
         self._chip, self.number = chip, number
         self.frame = 0
-        self.on = False
+        self._on = False
         self.brk = Timer.BRK_OFF
         self.pulses: dict[int, int] = {}
 
@@ -198,6 +218,7 @@ class Timer:
 
     def init(self, *, freq=None, prescaler=None, period=None, brk=BRK_OFF) -> None:
         self.brk, self.on = brk, False
+        self.pulses = {}
         if freq is None:
             assert (prescaler + 1) * 1_000_000 == self.source_freq() and period < 65536
             self.frame = period + 1
@@ -206,7 +227,7 @@ class Timer:
         self._chip.log.append(("timer", self.number, self.frame, brk))
 
     def channel(self, channel: int, mode: int, *, pulse_width: int) -> Any:
-        """Turns the outputs on, all of the timer's, unless break is active: a break input without its pin reads low."""
+        """Turns the outputs on, all of the timer's, unless break is active."""
         assert channel not in self.pulses and 1 <= channel <= 4
         self._chip.log.append(("channel", self.number, channel))
         self.pulses[channel] = pulse_width
@@ -219,9 +240,18 @@ class Timer:
         return SimpleNamespace(pulse_width=set_pulse)
 
     def is_broken(self) -> bool:
-        name = Timer.BREAK_PINS[self.number]
-        pins = [entry for entry in self._chip.log if entry[:3] == ("pin", name, 2)]
-        return not pins or not self._chip.levels.get(name, 1 if pins[-1][3] == 1 else 0)
+        """A break input that nothing pulls or ties is anything: high."""
+        return bool(self._chip.levels.get(Timer.BREAK_PINS[self.number], 1))
+
+    @property
+    def on(self) -> bool:
+        """Once broken it stays off, until something turns it on."""
+        self._on = self._on and (self.brk == Timer.BRK_OFF or not self.is_broken())
+        return self._on
+
+    @on.setter
+    def on(self, on: bool) -> None:
+        self._on = on
 
     def period(self, value: int) -> None:
         self._chip.log.append(("period", self.number, value))

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from hw.firmware import pwm, wire
+from hw.firmware import wire, wiring
 from tests.hw.board.chip import Reset
 from tests.hw.board.wires import PASCAL
 
@@ -90,15 +90,17 @@ def test_a_cycle_s_length_counts_from_its_tick_with_the_bus_and_what_was_waited(
 
 def test_the_clock_has_no_seam(hal, chip):
     """After 2**32 us, after 2**30 us of the port's clock (which the chip here passes first), after 2**30 ticks."""
-    for fired in (429_496, 2**30 - 3):
+    for fired, high in ((429_496, 0xFFFF), (2**30 - 3, 7)):
         hal.wait_tick()
         hal._fired = hal._taken = fired
+        hal.us_high, hal.us_low = high, 60_000
         hal.wait_tick()
         last_us = hal.now_us()
         for _ in range(5):
             hal.wait_tick()
             now_us = hal.now_us()
             assert (now_us - last_us) & 0xFFFFFFFF == 10_000 and 0 <= now_us < 2**32 and 0 < hal.cycle_us() < 2000
+            assert 0 <= hal.us_low < 2**16 and 0 <= hal.us_high < 2**16, "no number of telemetry takes memory"
             last_us = now_us
     assert hal.late == 0 and 0 <= hal._fired < 2**30
 
@@ -205,7 +207,7 @@ def test_a_stuck_bus_is_freed_by_nine_clocks_a_stop_and_the_multiplexer_s_reset(
 # Outputs, kill switch and pulse frame: in which order the chip is told, and what a kill leaves.
 
 IN, ALT, PULL_UP, PULL_DOWN = 0, 2, 1, 2
-OUTPUTS = [*pwm.THRUSTERS, *pwm.SERVOS, pwm.LAMP]
+OUTPUTS = [*wiring.THRUSTERS, *wiring.SERVOS, wiring.LAMP]
 
 
 def started(hal_stm32, frame_us=5000):
@@ -216,30 +218,30 @@ def started(hal_stm32, frame_us=5000):
 
 @pytest.mark.parametrize(("source_hz", "scale"), [(168_000_000, 167), (84_000_000, 83), (1_000_000, 0)])
 def test_timers_count_microseconds(source_hz, scale):
-    assert pwm.prescaler(source_hz) == scale
+    assert wiring.prescaler(source_hz) == scale
     assert source_hz / (scale + 1) == 1e6 and scale < 65536
 
 
 @pytest.mark.parametrize("source_hz", [0, 1_500_000, 65_537_000_000])
 def test_a_clock_that_makes_no_microseconds_is_told(source_hz):
     with pytest.raises(ValueError, match="timer clock"):
-        pwm.prescaler(source_hz)
+        wiring.prescaler(source_hz)
 
 
 def test_twelve_outputs_and_a_lamp_share_no_pin_and_no_channel():
-    pins = [pin for *_, names in [*OUTPUTS, *pwm.KILL] for pin in names.split()]
+    pins = [pin for *_, names in [*OUTPUTS, *wiring.KILL] for pin in names.split()]
     channels = [(timer, first + i) for timer, first, names in OUTPUTS for i in range(len(names.split()))]
     assert len(set(pins)) == len(pins) == 15
     assert len(set(channels)) == len(channels) == 13
 
 
 def test_the_kill_inputs_have_their_function_and_a_pull_up_before_break_is_armed(hal_stm32, chip):
-    """Else they read low, the outputs are off, and nobody turns them on again."""
+    """Else an open loop reads as anything."""
     started(hal_stm32)
-    for timer, name in pwm.KILL:
-        input_at = chip.log.index(("pin", name, ALT, PULL_UP, pwm.FUNCTION[timer], None))
+    for timer, name in wiring.KILL:
+        input_at = chip.log.index(("pin", name, ALT, PULL_UP, wiring.FUNCTION[timer], None))
         (armed_at,) = (i for i, entry in enumerate(chip.log) if entry[:2] == ("timer", timer))
-        assert input_at < armed_at and chip.log[armed_at][3] == 1
+        assert input_at < armed_at and chip.log[armed_at][3] == 2  # high: an open loop
         assert chip.timers[timer].on
 
 
@@ -248,9 +250,9 @@ def test_outputs_are_pulled_down_before_their_timers_start_and_stay_so(hal_stm32
     for timer, _, names in OUTPUTS:
         for name in names.split():
             assert [entry for entry in chip.log if entry[:2] == ("pin", name)] == [
-                ("pin", name, ALT, PULL_DOWN, pwm.FUNCTION[timer], None)
+                ("pin", name, ALT, PULL_DOWN, wiring.FUNCTION[timer], None)
             ]
-            pulled_at = chip.log.index(("pin", name, ALT, PULL_DOWN, pwm.FUNCTION[timer], None))
+            pulled_at = chip.log.index(("pin", name, ALT, PULL_DOWN, wiring.FUNCTION[timer], None))
             assert pulled_at < min(i for i, entry in enumerate(chip.log) if entry[:2] == ("timer", timer))
 
 
@@ -267,7 +269,7 @@ def test_thrusters_get_the_frame_that_is_asked_for_and_servos_keep_theirs(hal_st
 def test_what_is_needed_at_boot_alone_gives_its_memory_back(hal_stm32):
     hal = started(hal_stm32)
     hal.load_flash()
-    assert not sys.modules.keys() & {"pwm", "wiring", "slots"}
+    assert not sys.modules.keys() & {"wiring", "slots"}
 
 
 def test_pulses_that_are_asked_for_before_the_frame_is_known_are_shown_with_it(hal_stm32, chip):
@@ -286,6 +288,33 @@ def test_another_frame_does_not_bring_back_what_was_killed(hal_stm32, chip):
     chip.log.clear()
     hal.begin_pulses(2500)
     assert chip.log == [("period", 1, 2499), ("period", 8, 2499)]
+
+
+def test_an_open_loop_a_broken_wire_and_a_spike_are_seen_and_last_until_the_thrusters_are_revived(hal_stm32, chip):
+    hal = started(hal_stm32)
+    assert not hal.killed()
+    for pin, timer in (("PE15", 1), ("PA6", 8)):
+        chip.levels[pin] = 1
+        assert hal.killed() and not chip.timers[timer].on
+        hal.revive()
+        assert hal.killed() and not chip.timers[timer].on, "its loop is still open"
+        chip.levels[pin] = 0
+        assert hal.killed() and not chip.timers[timer].on, "nobody turns them on by closing a switch"
+        hal.pulses_us = [1507] * 8
+        hal.revive()
+        hal.write_pins()
+        assert not hal.killed() and set(chip.timers[timer].pulses.values()) == {1507}
+        chip.log.clear()
+        hal.revive()
+        assert not chip.log, "what runs is left alone"
+    chip.timers[1].on = False  # a spike that nobody saw
+    assert hal.killed()
+
+
+def test_a_board_that_boots_with_an_open_loop_gives_no_pulses(hal_stm32, chip):
+    chip.levels["PA6"] = 1
+    hal = started(hal_stm32)
+    assert hal.killed() and not chip.timers[8].on and chip.timers[1].on
 
 
 def test_only_what_changed_is_written(hal_stm32, chip):

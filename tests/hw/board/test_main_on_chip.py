@@ -17,7 +17,7 @@ from typing import Any
 import pytest
 
 from hw import board_files
-from hw.firmware import pwm, wire
+from hw.firmware import failsafe, wire, wiring
 from tests.hw.board.chip import Chip, Reset
 from tests.places import ROOT
 
@@ -63,7 +63,7 @@ class Bench:
 
 @pytest.fixture
 def bench(chip: Chip, hal_stm32: Any) -> Bench:
-    saved = json.dumps({"tare_pa": [106000.0] * 4, "pulse_frame_us": 2500})
+    saved = json.dumps({"tare_pa": [106000.0] * 4, "wiring": failsafe.WIRING, "pulse_frame_us": 2500})
     Path("flash.json").write_text(f"{saved}\n{zlib.crc32(saved.encode()):08x}\n")
     return Bench(chip, hal_stm32)
 
@@ -82,16 +82,30 @@ def test_it_boots_with_the_frame_from_flash_and_says_what_there_is(bench):
     assert 1000 < telemetry[-1][-1] < 1000 + line_us < status[-1][4] < 3000, "the bus; at most the line too"
 
 
-def test_armed_it_steers_and_the_kill_switch_needs_no_software(bench):
+def test_armed_it_steers_and_the_kill_switch_needs_no_software_but_is_noticed(bench):
     bench.arm()
     assert not bench.firmware.tether.faults
     bench.depth_100um = 4500
     bench.run(20)
     up, flat = bench.chip.timers[1].pulses, bench.chip.timers[8].pulses
     assert max(up.values()) < 1490 and set(flat.values()) == {1500}, "deeper: all four push down"
-    bench.chip.timers[1].on = False  # the break input
-    bench.run(20)
+    bench.chip.levels["PE15"] = 1
     assert not bench.chip.timers[1].on
+    bench.run(1)
+    assert set(bench.chip.timers[1].pulses.values()) == {1500} and not bench.firmware.control.state
+    bench.run(20)
+    assert bench.all_of(wire.EVENT)[-1][1:6] == (wire.EV_LADDER, 0, 3, 1, wire.REASONS.index("kill switch"))
+    bench.chip.levels["PE15"] = 0
+    bench.run(400)
+    assert not bench.chip.timers[1].on, "a closed switch starts nobody"
+    for i in range(8):  # the first order brings neutral pulses back, and one of those after 3 s of them arms
+        bench.say(wire.ARM, 10 + i, bench.all_of(wire.HELLO_ACK)[-1][4])
+        bench.run(50)
+    assert bench.chip.timers[1].on and bench.firmware.control.state
+
+
+def test_sensors_that_are_gone_stop_the_motors(bench):
+    bench.arm()
     bench.chip.wires.dead = {0, 1, 2, 3}
     bench.run(10)
     assert set(bench.chip.timers[1].pulses.values()) == {1500} and not bench.firmware.control.state
@@ -148,7 +162,7 @@ def test_what_only_a_robot_at_rest_needs_is_there_for_its_orders_alone(bench):
 # --- stubs ---
 # The board's own files against the type stubs of MicroPython's STM32 port.
 
-FIRMWARE = Path(pwm.__file__).parent
+FIRMWARE = Path(wiring.__file__).parent
 BOARD_ONLY = ["boot.py", "hal_stm32.py", "pins.py", "wiring.py"]
 
 
@@ -186,8 +200,8 @@ def test_pins_are_connected_with_the_functions_that_the_port_knows():
     stubs = importlib.metadata.distribution("micropython-stm32-stubs")
     (file,) = (file for file in stubs.files or () if file.name == "pyb.pyi")
     text = Path(str(file.locate())).read_text()
-    for timer, *_ in [*pwm.THRUSTERS, *pwm.SERVOS, pwm.LAMP]:
-        number = pwm.FUNCTION[timer]
+    for timer, *_ in [*wiring.THRUSTERS, *wiring.SERVOS, wiring.LAMP]:
+        number = wiring.FUNCTION[timer]
         assert f"AF{number}_TIM{timer}: Final[int] = {number}" in text
 
 
@@ -215,7 +229,6 @@ def test_everything_that_the_board_imports_is_there_and_nothing_else(folder):
         "hal_stm32.mpy",
         "pins.mpy",
         "wiring.mpy",
-        "pwm.mpy",
         "ms5837.mpy",
         "slots.mpy",
     } <= names

@@ -305,6 +305,17 @@ def test_a_reading_in_hundredths_of_a_degree_a_second(fitted, raw, cdeg_s):
     assert not chip.listens
 
 
+@pytest.mark.parametrize(
+    ("pull_g", "gravity_mg"), [((0, 0, 1), (1000, 0)), ((0.3, -0.4, -0.8), (-800, 500)), ((3.9, 0, 0), (0, 3900))]
+)
+def test_where_up_is(fitted, pull_g, gravity_mg):
+    chip, gyro = fitted
+    chip.pull_g = pull_g
+    assert gyro.gravity_mg() == pytest.approx(gravity_mg, abs=2)
+    chip.there = False
+    assert gyro.gravity_mg() is None and gyro.rate_cdeg_s() == wire.NO_RATE
+
+
 def test_one_that_is_not_there_says_nothing_until_it_is(fitted):
     chip, gyro = fitted
     chip.raw, chip.there = 131, False

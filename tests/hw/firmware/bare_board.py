@@ -9,7 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-from hw.firmware import wire
+from hw.firmware import failsafe, wire
 from tests.hw.firmware.nominal_plant import AIR_PA, PA_PER_M
 
 FIRMWARE = Path(wire.__file__).parent
@@ -38,12 +38,24 @@ class BareHal:
     def __init__(self, flash: dict[str, Any] | None = None) -> None:
         self.pressure_pa = [AIR_PA + 0.3 * PA_PER_M] * 4
         self.answered, self.battery_mv, self.leak = 15, 15000, 0
+        self.open_loop = self.off = False
+        self.gravity: tuple[int, int] | None = None
         self.pulses_us = [1500] * 8
         self.servos_us, self.light_permille, self.armed = [1500] * 4, 0, 0
-        self.flash = {"tare_pa": [AIR_PA] * 4} if flash is None else flash
+        self.flash = {"tare_pa": [AIR_PA] * 4, "wiring": failsafe.WIRING} if flash is None else flash
         self.us, self.dt_us = 0, CYCLE_US
         self.to_board = b""
         self.from_board = bytearray()
+
+    def killed(self) -> bool:
+        self.off = self.off or self.open_loop
+        return self.off
+
+    def gravity_mg(self) -> tuple[int, int] | None:
+        return self.gravity
+
+    def revive(self) -> None:
+        self.off = self.open_loop
 
     def boot_info(self) -> tuple[bytes, int, int]:
         return bytes(12), BOOT_ID, wire.POWER_ON
@@ -60,6 +72,14 @@ class BareHal:
 
     def yaw_rate_cdeg_s(self) -> int:
         return self.yaw_rate
+
+    @property
+    def us_low(self) -> int:
+        return self.us & 0xFFFF
+
+    @property
+    def us_high(self) -> int:
+        return self.us >> 16 & 0xFFFF
 
     def now_us(self) -> int:
         return self.us & 0xFFFFFFFF

@@ -19,7 +19,7 @@ with open(sys.argv[2]) as file:
         law, pressure_mPa, answered, depth_100nm, roll_100nrad = json.loads(line)
         if law:
             module = motor_control.Control()
-            module.configure(parameters.from_flash({"law": law, "net_weight_N": 0.5, "zero_3_us": 1507}))
+            module.configure(parameters.from_flash({"law": law, "net_weight_N": 0.5, "zero_3_us": 1507, "nudge_s": 0}))
             module.plane.tare_mPa = [AIR_mPa] * 4
             for _ in range(10):
                 module.sense(pressure_mPa, answered, 15000, 0, CYCLE_US)

@@ -11,6 +11,7 @@ import sys
 import time
 
 sys.path.insert(0, sys.argv[1])
+import failsafe
 import main
 import wire
 
@@ -42,6 +43,20 @@ class Hal:
 
     def begin_pulses(self, frame_us):
         pass
+
+    def killed(self):
+        return False
+
+    def gravity_mg(self):
+        return 1000, 0
+
+    @property
+    def us_low(self):
+        return self.us & 0xFFFF
+
+    @property
+    def us_high(self):
+        return self.us >> 16
 
     def now_us(self):
         return self.us
@@ -77,7 +92,7 @@ class Hal:
         return bytes(12), 1, 1
 
     def load_flash(self):
-        return {"law": self.law, "tare_pa": [101325.0] * 4}
+        return {"law": self.law, "tare_pa": [101325.0] * 4, "wiring": failsafe.WIRING}
 
 
 def set_point(hal):

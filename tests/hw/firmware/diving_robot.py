@@ -10,6 +10,7 @@ import os
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 from agent.core.config import Fleet, Pose, Robot, Target, Twin
@@ -18,6 +19,7 @@ from hw.stm32.protocol import HostProtocol
 from hw.twin.board import Board, CycleTimes, interpreter
 from hw.twin.dive import Dive, run_in_lock_step
 from hw.twin.physics.body import matrix
+from hw.twin.physics.tank import Gyros
 from hw.twin.scene import AnyEvent, Scene
 
 FLEET = Fleet(
@@ -44,12 +46,17 @@ REST_N = 0.01  # a thruster that stops fades with its lag: a second leaves less 
 class DivingRobot:
     """`run` is the only thing that lets time pass. The host sends set-points at 20 Hz while `talks`."""
 
-    def __init__(self, folder: Path, scene: Scene, times: CycleTimes | None) -> None:
-        self.dive = Dive(FLEET, ["r1"], 0, scene=scene)
+    def __init__(
+        self, folder: Path, scene: Scene, times: CycleTimes | None, seed: int = FLEET.twin.seed, imu: bool = False
+    ) -> None:
+        self.dive = Dive(msgspec.structs.replace(FLEET, twin=Twin(seed=seed)), ["r1"], 0, scene=scene)
+        self.dive.gyros = Gyros(seed, ["r1"], imu)
         self.board = Board("r1", folder, self.dive.tare_pa[0], interpreter=interpreter(), times=times)
         self.dive.boards = [self.board]
         self.protocol = HostProtocol(7)
         self.talks = True
+        self.loss = 0.0  # share of what is said on the tether, either way
+        self._dice = np.random.default_rng(seed)
         self.asks = HOVER
         self.telemetry: list[Telemetry] = []
         self.said: list[str] = []
@@ -88,11 +95,12 @@ class DivingRobot:
             with contextlib.suppress(BlockingIOError):
                 if not (chunk := os.read(self._port, 65536)):
                     raise OSError("hung up")
-                self.protocol.receive(chunk, now_ns)
+                if self._dice.random() >= self.loss:
+                    self.protocol.receive(chunk, now_ns)
             out = self.protocol.due(now_ns) if self.talks else b""
             if self.talks and self.dive.ticks % 5 == 0:
                 out += self.protocol.set_point(self.asks, now_ns)
-            if out:
+            if out and self._dice.random() >= self.loss:
                 os.write(self._port, out)
         except OSError:
             self.hang_up()
@@ -138,10 +146,15 @@ class DivingRobot:
 
 @contextlib.contextmanager
 def diving_robot(
-    folder: Path, faults: Sequence[AnyEvent] = (), times: CycleTimes | None = None, moored: bool = True
+    folder: Path,
+    faults: Sequence[AnyEvent] = (),
+    times: CycleTimes | None = None,
+    moored: bool = True,
+    seed: int = FLEET.twin.seed,
+    imu: bool = False,
 ) -> Iterator[DivingRobot]:
     """A robot held by the crew at 0.35 m, its firmware running, until the end of the block."""
-    robot = DivingRobot(folder, Scene(name="tank", moored=moored, event=tuple(faults)), times)
+    robot = DivingRobot(folder, Scene(name="tank", moored=moored, event=tuple(faults)), times, seed, imu)
     try:
         robot.board.start()
         yield robot

@@ -16,10 +16,13 @@ import msgspec
 import numpy as np
 import pytest
 
-from hw.firmware import failsafe, wire
+from hw.firmware import failsafe, thrust, wire
 from hw.firmware.failsafe import DISARM, HOLD, LATCHED, OK, SURFACE
+from hw.stm32.driver import surfacing_for_silence
+from hw.stm32.protocol import HostProtocol
 from hw.twin.dive import LOCK_STEP_S
 from tests.hw.firmware.diving_robot import ASCENT_M_S, HOST, HOVER, REST_N, SURFACED_M, TILTED_DEG, diving_robot
+from tests.studies import single_faults
 
 MS = 1000
 CYCLE_US = 10 * MS
@@ -28,7 +31,7 @@ AIR = [101_000_000, 101_200_000, 101_300_000, 101_100_000]
 
 def plane(**state: Any) -> Any:
     fine = {"depth_m": 0.4, "roll_deg": 0.0, "pitch_deg": 0.0, "bad_count": 0, "disagree": False, "parity_m": 0.0}
-    now = {**fine, "tare_mPa": AIR, **state}
+    now = {**fine, "tare_mPa": AIR, "upside_down": False, "leans": False, **state}
     for name, unit, scale in (
         ("depth_m", "depth_100nm", 1e7),
         ("parity_m", "parity_100nm", 1e7),
@@ -110,6 +113,8 @@ GO = {
     "ladder": failsafe.Ladder(),
     "loop_max_us": 4000,
     "tare_old": False,
+    "killed": False,
+    "unchecked": False,
 }
 STOPPED = failsafe.Ladder()
 STOPPED.latch(failsafe.STOP)
@@ -131,6 +136,9 @@ STOPPED.latch(failsafe.STOP)
         ({"ladder": STOPPED}, "fault latched"),
         ({"loop_max_us": 9000}, "control cycle too slow"),
         ({"tare_old": True}, "tare older than 12 h"),
+        ({"killed": True}, "kill switch open"),
+        ({"unchecked": True}, "wiring not checked: `aucamp board check`"),
+        ({"plane": plane(upside_down=True)}, "upside down"),
     ],
 )
 def test_each_arming_check_alone(change, check):
@@ -139,15 +147,15 @@ def test_each_arming_check_alone(change, check):
 
 
 def test_arming_checks_are_reported_together():
-    bad = plane(bad_count=1, parity_m=1.0, tare_mPa=None, roll_deg=57.0)
+    bad = plane(bad_count=1, parity_m=1.0, tare_mPa=None, roll_deg=57.0, upside_down=True)
     assert (
-        failsafe.arm_faults(False, bad, True, True, False, 1 << 29, 0, STOPPED, 9999, True)
+        failsafe.arm_faults(False, bad, True, True, False, 1 << 29, 0, STOPPED, 9999, True, True, True)
         == 2 ** len(wire.ARM_CHECKS) - 1
     )
 
 
 def test_reasons_are_numbered_alike_on_both_sides():
-    assert wire.REASONS[failsafe.STOP] == "emergency stop" and len(wire.REASONS) == failsafe.FAULT + 1
+    assert wire.REASONS[failsafe.STOP] == "emergency stop" and wire.REASONS[failsafe.KILLED] == "kill switch"
 
 
 # --- failsafe dive ---
@@ -309,12 +317,62 @@ def test_on_its_side_it_stops_its_motors(hovering):
     assert robot.heard("tilted") and at_rest(robot)
 
 
+@pytest.mark.parametrize("to", ["open", "broken"])
+def test_an_open_kill_switch_and_a_broken_wire_disarm_and_are_said(hovering, to):
+    robot = hovering
+    robot.dive.turn_kill_switch("r1", to)
+    robot.run(0.1)
+    assert not robot.armed and robot.telemetry[-1].flags & wire.FLAG_KILLED
+    robot.run(0.9)
+    assert robot.heard("kill switch") and at_rest(robot)
+    robot.protocol.arm()
+    robot.run(1.0)
+    assert robot.heard("kill switch open") and not robot.protocol.wants_armed
+    robot.dive.turn_kill_switch("r1", "closed")
+    robot.run(5.0)
+    assert not robot.armed and at_rest(robot), "a closed switch starts nobody"
+    robot.protocol.arm()
+    if to == "broken":
+        robot.run(5.0)
+        assert not robot.armed and at_rest(robot)
+    else:
+        robot.arm()
+        assert robot.thrust_n.max() > 0, "and the ESCs heard neutral for as long as they need"
+
+
+def test_a_spike_in_the_loop_is_a_kill_too_and_no_reboot_is_needed(hovering):
+    robot = hovering
+    robot.dive.turn_kill_switch("r1", "open")
+    robot.run(0.01)
+    robot.dive.turn_kill_switch("r1", "closed")
+    robot.run(1.0)
+    assert not robot.armed and at_rest(robot) and robot.heard("kill switch")
+    robot.arm()
+
+
+def test_escs_that_get_their_power_late_are_waited_for(robot):
+    """A battery that is plugged in while the board hangs on USB: neutral that no ESC hears does not count."""
+    robot.dive.set_battery("r1", 0.1)
+    robot.run(10.0)
+    robot.protocol.arm()
+    robot.run(1.0)
+    assert not robot.armed
+    robot.dive.set_battery("r1", 14.9)
+    robot.protocol.arm()
+    assert robot.until(lambda: robot.armed, 7.0) >= 5.0, "they start up, then they hear neutral for 3 s"
+    robot.arm()
+    assert robot.thrust_n.max() > 0
+
+
 def test_emergency_stop_lasts_until_the_power_was_off(hovering):
     robot = hovering
     boot_id = robot.protocol._boot_id
     robot.protocol.stop(wire.ESTOP)
     robot.run(1.2)
     assert at_rest(robot) and robot.ladder == failsafe.LATCHED
+    robot.protocol = HostProtocol(8)  # another host, which stopped nobody
+    robot.protocol.connected()
+    robot.run(1.0)
     robot.protocol.arm()
     robot.run(5.0)
     assert not robot.armed and at_rest(robot)
@@ -384,3 +442,70 @@ def test_a_firmware_that_hangs_is_reset_and_stays_disarmed_until_somebody_has_lo
     robot.dive.cut_power("r1", 0.2)  # somebody has looked at it
     robot.run(0.5)
     robot.arm()
+
+
+# --- what does not do what it is told ---
+# tests/studies/single_faults.py measures the same on many robots.
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["T1 dead", "T1 reversed", "T1, T2 crossed", "T1, T3 crossed", "left pair drifts, IMU", "overturned, no IMU"],
+)
+def test_a_single_fault_is_said_by_its_name_and_ends_at_the_surface_or_with_motors_off(name):
+    outcome = single_faults.dive(single_faults.CASES[name], 3)
+    assert outcome.named_s is not None and outcome.named_s <= single_faults.WITHIN_S, outcome
+    assert outcome.level >= SURFACE
+
+
+@pytest.mark.parametrize(
+    ("roll", "pitch", "says"),
+    [
+        (3, -3, ""),
+        (9, -2, ""),
+        (9, -8, "T1 gives little or nothing"),
+        (-9, -8, "T2 gives little or nothing"),
+        (-9, 8, "T3 gives little or nothing"),
+        (9, 8, "T4 gives little or nothing"),
+        (2, -30, "T1 and T2 are crossed"),
+        (-30, 2, "T2 and T3 are crossed"),
+        (2, 30, "T3 and T4 are crossed"),
+        (30, 2, "T4 and T1 are crossed"),
+    ],
+)
+def test_what_a_nudge_shows(roll, pitch, says):
+    reason = failsafe._moved(roll, pitch)
+    assert (wire.REASONS[reason] if reason else "") == says
+
+
+@pytest.mark.parametrize("thruster", [1, 2, 3, 4])
+def test_a_push_that_does_not_end_is_the_thrusters_that_works_against_the_law(thruster):
+    roll, pitch = thrust.ROLL[thruster - 1], thrust.PITCH[thruster - 1]
+    for newton in (-8_000_000, 8_000_000):
+        reason = failsafe.pushed_by(-newton, newton * roll * 60 // 1000, newton * pitch * 80 // 1000)
+        assert wire.REASONS[reason] == f"T{thruster} pushes the wrong way"
+    assert wire.REASONS[failsafe.pushed_by(0, 300_000, 20_000)].startswith("attitude contradicts")
+
+
+def test_all_thrust_for_three_seconds_and_still_far_off_is_not_holding():
+    ladder = failsafe.Ladder()
+    for _ in range(299):
+        ladder.watch(CYCLE_US, 600_000, 0, True, (0, 0, 0))
+    ladder.watch(CYCLE_US, 600_000, 0, False, (0, 0, 0))
+    for _ in range(300):
+        assert climb(0.01, ladder=ladder).level == OK
+        ladder.watch(CYCLE_US, 600_000, 0, True, (0, 0, 0))
+    assert climb(0.01, ladder=ladder).level == SURFACE and wire.REASONS[ladder.reason].startswith("not holding")
+    assert ladder.found(), "and no host that comes back calls it down again"
+
+
+def test_a_robot_that_surfaces_for_what_it_found_is_not_called_back_as_one_whose_host_was_silent(hovering):
+    robot = hovering
+    robot.dive.scale_thruster("r1", 2, 0.0)
+    robot.until(lambda: robot.ladder == SURFACE, 4.0)
+    robot.run(0.3)
+    assert robot.heard("T2 gives little or nothing") and robot.telemetry[-1].flags & wire.FLAG_FOUND
+    assert not surfacing_for_silence(robot.telemetry[-1])
+    robot.until(lambda: not robot.armed, 10.0)
+    robot.run(1.0)
+    assert at_rest(robot)

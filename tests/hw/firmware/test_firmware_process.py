@@ -176,6 +176,9 @@ def test_a_fault_stops_the_motors_before_it_is_told(monkeypatch):
         def boot_info(self):
             return b"", 1, 1
 
+        def killed(self):
+            return False
+
         def wait_tick(self):
             return True
 

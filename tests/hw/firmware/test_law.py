@@ -300,7 +300,9 @@ def armed(name: str, first: list[int], **flash: float) -> Any:
     """Control with the motors on, in front of these pressures."""
     motor_control, parameters = modules()
     control = motor_control.Control()
-    control.configure(parameters.from_flash({"law": name, "net_weight_N": 0.5, "zero_3_us": 1507, **flash}))
+    control.configure(
+        parameters.from_flash({"law": name, "net_weight_N": 0.5, "zero_3_us": 1507, "nudge_s": 0, **flash})
+    )
     control.plane.tare_mPa = [AIR_mPa] * 4
     for _ in range(10):
         control.sense(first, 15, 15000, 0, CYCLE_US)

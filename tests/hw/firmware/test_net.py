@@ -227,7 +227,7 @@ def poison_pid(law: Any, integral: float) -> None:
     ],
 )
 def test_a_law_that_has_left_the_world_begins_anew_instead_of_running_the_motors_full(law, poison, value):
-    board = BareBoard(BareHal({"tare_pa": [AIR_PA] * 4, "law": law}))
+    board = BareBoard(BareHal({"tare_pa": [AIR_PA] * 4, "wiring": failsafe.WIRING, "law": law}))
     board.arm()
     board.hold(20)
     before = list(board.hal.pulses_us)

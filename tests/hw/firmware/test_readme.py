@@ -8,7 +8,7 @@ import sys
 import threading
 import time
 
-from hw.firmware import parameters, pwm, wire
+from hw.firmware import parameters, wire, wiring
 from hw.stm32.driver import TEXTS, Stm32
 from tests.places import ROOT
 
@@ -33,7 +33,7 @@ def test_every_message_with_its_size():
 
 
 def test_every_pin():
-    for *_, pin in [*pwm.THRUSTERS, *pwm.SERVOS, pwm.LAMP, *pwm.KILL]:
+    for *_, pin in [*wiring.THRUSTERS, *wiring.SERVOS, wiring.LAMP, *wiring.KILL]:
         assert pin in README
 
 
@@ -74,3 +74,13 @@ def test_every_path_is_there():
     paths = set(re.findall(r"`((?:hw|agent)/[\w./]+)`", README)) | set(re.findall(r"\]\((\.\./[\w./-]+\.md)", README))
     assert len(paths) > 6
     assert not [path for path in paths if not (ROOT / "hw" / path if path.startswith("..") else ROOT / path).exists()]
+
+
+def test_the_picture_of_the_wiring_is_that_of_the_firmware():
+    source = (ROOT / "docs" / "draw_wiring.py").read_text(encoding="utf-8")
+    drawn: dict = {"__name__": "drawn", "__file__": str(ROOT / "docs" / "draw_wiring.py")}
+    exec(compile(source, "draw_wiring.py", "exec"), drawn)
+    assert (ROOT / "docs" / "wiring.svg").read_text(encoding="utf-8") == drawn["picture"]()
+    shown = {pin for wire in drawn["wires"]() for pin in wire.pins.split()}
+    used = set(re.findall(r'pyb\.Pin\("(P\w+)"', (ROOT / "hw/firmware/hal_stm32.py").read_text(encoding="utf-8")))
+    assert used <= shown | {"PB10", "PB11"} and {"PC1", "PE7"} <= used

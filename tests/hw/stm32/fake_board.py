@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from hw.firmware import parameters, wire
+from hw.firmware import wire
 from hw.stm32.protocol import HostProtocol
 
 
@@ -16,7 +16,10 @@ class FakeBoard:
     def greet(self, schema: int | None = None, version: int | None = None) -> None:
         version = self.version if version is None else version
         schema = wire.schema_crc(version) if schema is None else schema
-        can, count = 0 if self.version == 1 else wire.CAN_VERSION_2, len(parameters.TABLE)
+        can, count = (
+            (0, 0, wire.CAN_VERSION_2, wire.CAN_VERSION_2 | wire.CAN_VERSION_3)[self.version],
+            wire.PARAMETER_COUNTS[version],
+        )
         self.say(wire.HELLO_ACK, version, schema, b"testtest", b"", self.boot_id, 1, 0, 0, count, can)
 
     def telemetry(self, armed: int = 0, flags: int = wire.FLAG_HELLO, rate: int = wire.NO_RATE) -> None:

@@ -112,7 +112,7 @@ def test_firmware_that_disarms_is_not_armed_again(desk, driver):
     drive(desk, driver, armed(driver))
 
 
-def test_an_ordered_stop_latches_nothing_and_lasts_until_an_order_to_arm(desk, driver):
+def test_an_ordered_stop_is_latched_in_the_board_until_an_order_to_arm(desk, driver):
     """STOP ALL is the order `stop` to each robot, Start all the order `arm`."""
     robot, motors = Ordering(), Motors(driver, arm=True)
     driver.arm()
@@ -123,7 +123,7 @@ def test_an_ordered_stop_latches_nothing_and_lasts_until_an_order_to_arm(desk, d
     drive(desk, driver, lambda: not armed(driver)())
     assert desk.tick()[1:9] == (1500,) * 8
     shown = newest(desk, driver)
-    assert not shown.armed and shown.ladder == failsafe.OK
+    assert not shown.armed and shown.ladder == failsafe.LATCHED
     motors.feel((shown,), time.time_ns() + 2 * AGAIN_NS)
     with pytest.raises(AssertionError):
         drive(desk, driver, armed(driver), ticks=500)
@@ -135,23 +135,33 @@ def test_an_ordered_stop_latches_nothing_and_lasts_until_an_order_to_arm(desk, d
     assert shown.armed and shown.ladder == failsafe.OK
 
 
-def test_an_emergency_stop_lasts_until_the_board_was_rebooted(desk, driver):
-    motors = Motors(driver, arm=True)
-    driver.arm()
-    drive(desk, driver, armed(driver))
-    driver.emergency_stop()
-    drive(desk, driver, lambda: not armed(driver)())
-    assert desk.tick()[1:9] == (1500,) * 8
-    motors.obey("arm", time.time_ns())
-    drive(desk, driver, lambda: not driver.wants_armed)
-    assert newest(desk, driver).ladder == failsafe.LATCHED and motors.fault() is not None
-    assert any("fault latched; look at the robot, then `aucamp board reboot`" in text for text in desk.said)
-    rebooted, before = driver.reboot(), driver.greeting
-    drive(desk, driver, lambda: rebooted.done() and driver.greeting != before)
-    assert rebooted.result().ok
-    motors.obey("arm", time.time_ns())
-    drive(desk, driver, armed(driver))
-    assert newest(desk, driver).ladder == failsafe.OK
+def test_a_stop_of_another_host_lasts_until_the_board_was_rebooted(desk, port):
+    """An agent that is started again, be it with --arm, does not undo what was stopped."""
+    with Stm32(str(port.path), SystemClock()) as first:
+        first.arm()
+        drive(desk, first, armed(first))
+        first.emergency_stop()
+        drive(desk, first, lambda: not armed(first)())
+        assert desk.tick()[1:9] == (1500,) * 8
+        stop = threading.Event()
+        water = threading.Thread(target=lambda: [desk.tick() for _ in iter(lambda: stop.wait(0.002), True)])
+        water.start()
+    stop.set()
+    water.join()
+    with Stm32(str(port.path), SystemClock()) as driver:
+        motors = Motors(driver, arm=True)
+        motors.obey("arm", time.time_ns())
+        drive(desk, driver, lambda: any("fault latched" in text for text in desk.said))
+        assert newest(desk, driver).ladder == failsafe.LATCHED and motors.fault() is not None
+        assert any("fault latched; look at the robot, then `aucamp board reboot`" in text for text in desk.said)
+        rebooted, before = driver.reboot(), driver.greeting
+        drive(desk, driver, lambda: rebooted.done() and driver.greeting != before)
+        assert rebooted.result().ok
+        motors.obey("arm", time.time_ns())
+        drive(desk, driver, armed(driver))
+        assert newest(desk, driver).ladder == failsafe.OK
+        driver.disarm()
+        drive(desk, driver, lambda: not armed(driver)())
 
 
 def test_restarted_board_is_not_armed_again(desk, driver):
@@ -263,7 +273,7 @@ class Board:
     def arm(self) -> None:
         self.told.append("arm")
 
-    def disarm(self) -> None:
+    def emergency_stop(self) -> None:
         self.told.append("off")
 
     def surface(self) -> None:

@@ -16,7 +16,7 @@ from msgspec.structs import replace
 from agent.clock.clock import SystemClock
 from agent.core.config import ConfigError, dump
 from agent.core.step_io import SetPoint
-from agent.ground.console import reboot
+from agent.ground.board import run as run_board
 from agent.process.command import Failed
 from hw.firmware import failsafe, parameters, wire
 from hw.stm32.driver import Stm32
@@ -208,7 +208,7 @@ def test_after_the_watchdog_the_board_is_rebooted_and_nothing_is_latched(started
     desk, _, board_time = started(wire.BY_WATCHDOG)
     board_time.start()
     said: list[str] = []
-    reboot(fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", said.append)
+    run_board("reboot", fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", said.append)
     assert any("reset by watchdog: reboot by order" in line for line in said)
     assert said[-1].startswith("r1: rebooted; arm it")
 
@@ -217,7 +217,7 @@ def test_a_board_that_latches_again_says_why(started, tmp_path):
     desk, _, board_time = started(flash={"law": "pip"})
     board_time.start()
     with pytest.raises(Failed, match=r"latched again \(board: flash: law = pip"):
-        reboot(fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", lambda line: None)
+        run_board("reboot", fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", lambda line: None)
 
 
 def test_a_robot_with_its_motors_on_is_left_to_itself(started, tmp_path):
@@ -227,13 +227,13 @@ def test_a_robot_with_its_motors_on_is_left_to_itself(started, tmp_path):
     desk.listen = lambda: None
     board_time.start()
     with pytest.raises(Failed, match="its motors are on"):
-        reboot(fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", lambda line: None)
+        run_board("reboot", fleet_file(tmp_path, os.ttyname(desk.slave)), "r1", lambda line: None)
     assert pins[-1] == wire.ARMED and min(pins[1:5]) > 1500, "and goes up"
 
 
 def test_nobody_there_is_told(tmp_path):
     with pytest.raises(Failed, match=r"r1: no board answers \(.*No such file"):
-        reboot(fleet_file(tmp_path, str(tmp_path / "nothing")), "r1", lambda line: None, limit_s=0.5)
+        run_board("reboot", fleet_file(tmp_path, str(tmp_path / "nothing")), "r1", lambda line: None, limit_s=0.5)
 
 
 def test_a_refusal_to_arm_names_the_way_out():
@@ -271,7 +271,7 @@ def outcome(desk, driver, future):
 
 def test_parameters(desk, driver):
     listed = outcome(desk, driver, driver.parameters())
-    assert listed.ok and listed.values == {row[0]: row[1] for row in parameters.TABLE}
+    assert listed.ok and listed.values == {row[0]: row[1] for row in parameters.TABLE} | {"wiring": failsafe.WIRING}
     assert driver.greeting.parameters_crc == parameters.crc([listed.values[name] for name in parameters.NAMES])
     assert outcome(desk, driver, driver.set_parameter("lag_s", 0.15)).values == {"lag_s": 0.15}
     assert outcome(desk, driver, driver.parameter("lag_s")).values == {"lag_s": 0.15}
@@ -342,6 +342,24 @@ def greetings(out):
     return [fields for kind, fields in frames(out) if kind == wire.HELLO]
 
 
+@pytest.mark.parametrize("version", [1, 2])
+def test_an_old_board_is_served_as_it_was(version) -> None:
+    """Twenty parameters, and a list of them ends there."""
+    protocol = HostProtocol(HOST_BOOT)
+    board = FakeBoard(protocol, version=version)
+    protocol.due(0)
+    board.greet(version=1)
+    said = greetings(protocol.due(10 * MS))
+    assert said == ([] if version == 1 else [(2, 0x9345DAF7, HOST_BOOT)])
+    board.greet()
+    asked = protocol.ask(wire.PARAM_LIST)
+    ((_, (req_id, _)),) = frames(protocol.due(20 * MS))
+    for i in range(20):
+        assert not asked.done()
+        board.say(wire.PARAM_VALUE, req_id, board.boot_id, i, 0, 0, 1.0)
+    assert asked.result(0).ok and list(asked.result(0).values) == parameters.NAMES[:20]
+
+
 def test_an_old_board_hears_what_it_always_heard() -> None:
     protocol = HostProtocol(HOST_BOOT)
     board = FakeBoard(protocol, version=1)
@@ -358,7 +376,7 @@ def test_a_new_board_is_greeted_in_what_it_offers_until_it_agrees() -> None:
     board = FakeBoard(protocol)
     protocol.due(0)
     board.greet(version=1)
-    asked = [ms for ms in range(10, 1200, 10) if greetings(protocol.due(ms * MS)) == [(2, wire.SCHEMA_CRC[2], 9)]]
+    asked = [ms for ms in range(10, 1200, 10) if greetings(protocol.due(ms * MS)) == [(3, wire.SCHEMA_CRC[3], 9)]]
     assert asked == [10, 510, 1010]
     protocol.arm()
     board.greet()
@@ -381,24 +399,29 @@ def test_a_board_that_restarts_as_an_older_one_is_served_as_that() -> None:
     assert not protocol.due(3000 * MS)
 
 
-@pytest.mark.parametrize(("version", "kind"), [(1, wire.TELEM_1), (2, wire.TELEM)])
-def test_the_firmware_speaks_both(put_on_desk, version, kind) -> None:
+@pytest.mark.parametrize(("version", "kind"), [(1, wire.TELEM_1), (2, wire.TELEM), (3, wire.TELEM)])
+def test_the_firmware_speaks_all(put_on_desk, version, kind) -> None:
     desk = put_on_desk(sys.executable)
     desk.yaw_rate = 4321
     desk.say(wire.HELLO, version, wire.SCHEMA_CRC[version], 77)
     said = desk.until(lambda: desk.heard(wire.HELLO_ACK))[0]
-    assert said[:2] == (version, wire.SCHEMA_CRC[version]) and said[-1] & wire.CAN_VERSION_2
+    assert (
+        said[:2] == (version, wire.SCHEMA_CRC[version])
+        and said[-1] & wire.CAN_VERSION_2
+        and said[-1] & wire.CAN_VERSION_3
+    )
+    assert said[-2] == (22 if version == 3 else 20), "an old host wants as many parameters as it knows"
     desk.forget()
     desk.tick(6)
     told = desk.heard(kind)
     assert len(told) >= 2 and len(told) == len(desk.heard(wire.TELEM) + desk.heard(wire.TELEM_1))
     assert told[-1][3] & wire.FLAG_HELLO
-    assert told[-1][-1] == 4321 if version == 2 else len(told[-1]) == 33
+    assert told[-1][-1] == 4321 if version > 1 else len(told[-1]) == 33
 
 
 def test_the_firmware_refuses_what_it_does_not_know(put_on_desk) -> None:
     desk = put_on_desk(sys.executable)
-    desk.say(wire.HELLO, 3, 12345, 77)
+    desk.say(wire.HELLO, 4, 12345, 77)
     assert desk.until(lambda: desk.heard(wire.HELLO_ACK))[0][:2] == (wire.PROTOCOL, wire.schema_crc())
     desk.forget()
     desk.tick(6)

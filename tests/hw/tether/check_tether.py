@@ -4,6 +4,7 @@ import gc
 import sys
 
 sys.path.insert(0, sys.argv[1])
+import failsafe
 import frames
 import tether
 
@@ -41,7 +42,7 @@ def taken(act):
     return gc.mem_alloc() - before
 
 
-hal = Hal(late=0, servos_us=[1500] * 4, light_permille=0, battery_mv=15000)
+hal = Hal(late=0, servos_us=[1500] * 4, light_permille=0, battery_mv=15000, us_low=16960, us_high=15)
 control = Thing(
     plane=Thing(
         bad=0,
@@ -54,10 +55,11 @@ control = Thing(
     ),
     law=Law(),
     set_point=Thing(age_us=0, seq=0, depth_100nm=0, tilt_100nrad=[0, 0], force_uN=[0, 0], yaw_uNm=0),
-    ladder=Thing(level=0),
+    ladder=failsafe.Ladder(),
     mode=0,
     leak=False,
     battery_low=False,
+    killed=False,
     state=1,
     saturated=0,
     pulses_us=[1500] * 8,

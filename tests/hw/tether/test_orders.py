@@ -13,7 +13,7 @@ import pytest
 from hw.firmware import failsafe, parameters, wire
 from hw.firmware.parameters import TABLE
 from hw.stm32.driver import IDS
-from tests.hw.firmware.bare_board import BareBoard
+from tests.hw.firmware.bare_board import BareBoard, BareHal
 from tests.hw.firmware.nominal_plant import AIR_PA
 
 NEUTRAL = (1500,) * 8
@@ -103,7 +103,7 @@ def test_orders_for_another_boot_are_stale_but_for_stops(desk):
 
 
 def test_neutral_pulses_and_the_law_are_parameters(put_on_desk, interpreter):
-    flash = {"tare_pa": [AIR_PA] * 4, "law": "pid", "zero_2_us": 1510, "net_weight_N": 2.0}
+    flash = {"tare_pa": [AIR_PA] * 4, "wiring": failsafe.WIRING, "law": "pid", "zero_2_us": 1510, "net_weight_N": 2.0}
     desk = put_on_desk(interpreter, flash)
     boot_id = desk.arm()
     assert value_of(desk, wire.PARAM_GET, boot_id, "law")[0] == 1
@@ -139,7 +139,7 @@ def test_mode_stabilise_leaves_depth_alone_until_the_host_is_silent(desk):
     assert desk.order(wire.ARM, boot_id) == wire.OK
     desk.set_point(depth_m=0.6)
     act = desk.tick(20)
-    assert all(abs(us - 1500) <= 31 for us in act[1:5]), "30 cm off, and no thrust"
+    assert abs(sum(act[1:5]) - 6000) <= 31, "30 cm off, and no lift: nudges come to nothing"
     desk.tick(60)
     assert desk.heard(wire.TELEM)[-1][3] >> wire.MODE_SHIFT == wire.HOLD
     assert desk.tick()[-1] == wire.ARMED
@@ -220,15 +220,17 @@ def test_a_wrong_tare_is_refused_and_the_old_one_stands(desk, wrong):
     [
         (11.9, set()),
         (12.1, {"tare older than 12 h"}),
-        (-1 / 3600e3, set()),  # a clock that is a millisecond behind the one that was told with the tare
+        (49.71 * 24, {"tare older than 12 h"}),  # where milliseconds of 32 bits begin again
+        (50.1 * 24, {"tare older than 12 h"}),
+        (-1 / 36e3, set()),  # a clock that is a tenth of a second behind the one that was told with the tare
         (-9.9 / 60, set()),
         (-10.1 / 60, {"tare older than 12 h"}),  # whose clock that is nobody knows
     ],
 )
 def test_a_tare_lasts_twelve_hours(put_on_desk, interpreter, hours, checks):
-    """The desk tells its clock in each set-point; flash was written hours before, on the far side of 2**32 ms."""
-    made_ms = round(5_000 - hours * 3600e3) & 0xFFFFFFFF
-    desk = put_on_desk(interpreter, {"tare_pa": [AIR_PA] * 4, "tare_host_ms": made_ms})
+    """The desk tells its clock in each set-point; flash was written hours before, on the far side of 2**32."""
+    made_ds = round(50 - hours * 36e3) & 0xFFFFFFFF
+    desk = put_on_desk(interpreter, {"tare_pa": [AIR_PA] * 4, "wiring": failsafe.WIRING, "tare_host_ds": made_ds})
     boot_id = desk.greet()
     desk.tick(310)
     desk.set_point()
@@ -237,15 +239,28 @@ def test_a_tare_lasts_twelve_hours(put_on_desk, interpreter, hours, checks):
         assert refused(desk) == checks
 
 
+@pytest.mark.parametrize(("made", "version", "old"), [("ms", 1, False), ("ms", 3, True), ("ds", 1, True)])
+def test_a_tare_that_was_timed_in_another_unit_is_old(made, version, old):
+    """Nobody can tell its age: a host of an older release made it, or asks."""
+    board = BareBoard(BareHal({"tare_pa": [AIR_PA] * 4, "wiring": failsafe.WIRING, f"tare_host_{made}": 7}))
+    board.say(wire.HELLO, version, wire.SCHEMA_CRC[version], 1)
+    board.hold(320)
+    ((_, fields),) = board.answers(wire.ARM, 1, board.boot_id)
+    assert fields[2] == (wire.REFUSED if old else wire.OK)
+    board.tick(2)
+    refusals = {event[5] for event in board.heard(wire.EVENT) if event[1] == wire.EV_ARM_REFUSED}
+    assert refusals == ({1 << wire.ARM_CHECKS.index("tare older than 12 h")} if old else set())
+
+
 def test_a_tare_of_this_boot_is_never_old_and_carries_its_time(desk):
     desk.pressure_pa = [AIR_PA + 0.3 * wire.PA_PER_M] * 4
     boot_id = desk.greet()
     desk.set_point()
-    told_ms = desk.now_us // 1000
+    told_ds = desk.now_us // 100_000
     assert desk.order(wire.TARE, boot_id, 300) == wire.OK
     burnt = json.loads(desk.flash_path.read_text())
     assert burnt["tare_pa"] == pytest.approx([AIR_PA] * 4, abs=3.0), "30 cm of fresh water"
-    assert abs(burnt["tare_host_ms"] - told_ms) < 100
+    assert abs(burnt["tare_host_ds"] - told_ds) <= 1
     desk.arm()
 
 

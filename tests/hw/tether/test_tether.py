@@ -13,7 +13,7 @@ from typing import Any
 
 import pytest
 
-from hw.firmware import wire
+from hw.firmware import parameters, wire
 from tests.hw.desk import MICROPYTHON
 from tests.hw.firmware.bare_board import FIRMWARE, BareBoard
 
@@ -172,7 +172,7 @@ def test_a_set_point_is_taken_over_without_a_number_that_takes_memory(board, tet
         asked = board.control.set_point
         assert board.faults == 0 and asked.depth_100nm == 1000 * value and asked.force_uN == [1000 * value] * 2
         assert asked.tilt_100nrad == pytest.approx([math.radians(value * 0.01) * 1e7] * 2, rel=3e-6, abs=1.0)
-        assert (asked.yaw_uNm, asked.ttl_us, asked.host_ms) == (100 * value, 1000 * ms, 0xFFFFFFFF - ms)
+        assert (asked.yaw_uNm, asked.ttl_us, asked.host_time) == (100 * value, 1000 * ms, 0xFFFFFFFF - ms)
         assert board.hal.servos_us == [us] * 4 and board.hal.light_permille == 1000
 
 
@@ -259,7 +259,7 @@ def test_the_pulse_frame_is_set_at_boot_and_when_the_parameter_is(board, monkeyp
     monkeypatch.setattr(board.hal, "begin_pulses", frames.append)
     board.reboot()
     assert frames == [5000]
-    number = len(board.control.values) - 1
+    number = parameters.NAMES.index("pulse_frame_us")
     for us in (2500.0, 20000.0, 2499.0, 3000.5):
         board.say(wire.PARAM_SET, 5, board.boot_id, number, 1, 0, us)
         board.tick()

@@ -18,7 +18,7 @@ from cobs import cobs
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from hw.firmware import wire
+from hw.firmware import failsafe, parameters, wire, wiring
 from tests.places import GOLDEN
 
 VECTORS = GOLDEN / "wire_vectors.jsonl"
@@ -86,9 +86,20 @@ def test_the_table_names_every_field():
 
 
 def test_the_board_knows_the_table_by_its_checksum():
-    assert [wire.schema_crc(version) for version in (1, wire.PROTOCOL)] == list(wire.SCHEMA_CRC[1:])
-    assert wire.SCHEMA_CRC[1] == 0xA725AA30  # of the boards that are out there
+    assert [wire.schema_crc(version) for version in (1, 2, wire.PROTOCOL)] == list(wire.SCHEMA_CRC[1:])
+    assert wire.SCHEMA_CRC[1:3] == (0xA725AA30, 0x9345DAF7)  # of the boards that are out there
     assert set(wire.FORMAT) == {kind for kind, _, _, _ in wire.TABLE}
+
+
+def test_names_and_order_of_parameters_are_in_the_checksum(monkeypatch):
+    for rows in (parameters.TABLE[::-1], (("lwa", *parameters.TABLE[0][1:]), *parameters.TABLE[1:])):
+        monkeypatch.setattr(wire, "TABLE_OF_PARAMETERS", rows)
+        assert wire.schema_crc() != wire.SCHEMA_CRC[3] and wire.schema_crc(2) == wire.SCHEMA_CRC[2]
+
+
+def test_the_board_knows_the_wiring_by_its_number():
+    table = (wiring.THRUSTERS, wiring.SERVOS, wiring.LAMP, wiring.KILL)
+    assert zlib.crc32(repr(table).encode()) & 0xFFFF == failsafe.WIRING
 
 
 def test_numbers_that_a_file_of_the_board_has_written_in_are_those_of_the_wire():

@@ -19,7 +19,7 @@ from tests.waiting import until
 FIRMWARE = """
 import json, os, struct, sys
 serial, bus, flash = int(sys.argv[1]), int(sys.argv[2]), json.load(open(sys.argv[3]))
-TICK, ACT = struct.Struct("<QHH4IHHBBh"), struct.Struct("<Q8H4HHBHII")
+TICK, ACT = struct.Struct("<QHH4IHHBBhBhH"), struct.Struct("<Q8H4HHBHII")
 assert len(flash["tare_pa"]) == 4
 while True:
     record = os.read(bus, TICK.size)

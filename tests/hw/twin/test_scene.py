@@ -30,11 +30,13 @@ from hw.twin.scene import (
     Battery,
     CastOff,
     Creature,
+    Crossed,
     Current,
     CurrentSet,
     FirmwareHang,
     GyroDead,
     GyroStuck,
+    KillSwitch,
     Leak,
     Occlude,
     PowerCut,
@@ -308,6 +310,8 @@ def test_each_kind_of_event_has_a_table_that_is_read(tmp_path):
         "battery": "volts = 11.5",
         "thruster_dead": "thruster = 8",
         "thruster_gain": "thruster = 1\ngain = 0.5",
+        "crossed": 'what = "sensors"\npair = [1, 3]',
+        "kill_switch": 'to = "broken"',
         "serial_unplug": "for_s = 5.0",
         "power_cut": "for_s = 2.0",
         "slow_board": "by = 2.5",
@@ -322,7 +326,7 @@ def test_each_kind_of_event_has_a_table_that_is_read(tmp_path):
     whose = {kind: "" if kind in everybodys else 'robot = "r1"\n' for kind in kinds}
     tables = [f'[[event]]\nat_s = {i}\nkind = "{k}"\n{whose[k]}{more.get(k, "")}\n' for i, k in enumerate(kinds)]
     scene = scene_with(tmp_path, "".join(tables))
-    assert len(scene.event) == len(kinds) == 21
+    assert len(scene.event) == len(kinds) == 23
     assert scene.event[0] == Push(at_s=0, robot="r1", force_n=(0, 0, -8), point_m=(0.13, 0.13, 0), for_s=0.3)
 
 
@@ -388,6 +392,8 @@ DONE = {
     Battery(at_s=0, robot="r1", volts=11.5): call.set_battery("r1", 11.5),
     ThrusterDead(at_s=0, robot="r1", thruster=8): call.scale_thruster("r1", 8, 0.0),
     ThrusterGain(at_s=0, robot="r1", thruster=1, gain=0.5): call.scale_thruster("r1", 1, 0.5),
+    Crossed(at_s=0, robot="r1", what="sensors", pair=(1, 3)): call.cross_sensors("r1", 1, 3),
+    KillSwitch(at_s=0, robot="r1", to="broken"): call.turn_kill_switch("r1", "broken"),
     SerialUnplug(at_s=0, robot="r1", for_s=5.0): call.unplug("r1", 5.0),
     PowerCut(at_s=0, robot="r1", for_s=2.0): call.cut_power("r1", 2.0),
     FirmwareHang(at_s=0, robot="r1"): call.hang_firmware("r1"),
@@ -450,7 +456,7 @@ def test_the_battery_sags_under_thrust_and_thrust_with_the_battery():
     assert made.boards[0].ticks[-1][3:5] == (BATTERY_MV, CURRENT_10MA)
     made._pulses_us[0], made.boards[0].driving = 1900.0, True
     run(made, 200)
-    amperes, volts = made._drawn_a[0], made._supply_v[0]
+    amperes, volts = made._drawn_a[0], made.supply_v[0]
     assert volts == pytest.approx(NOMINAL_V - OHM * (amperes - CURRENT_10MA / 100))
     assert 12.0 < volts < 13.0
     full_n = made.states["thrust_n"][0].sum()

@@ -10,6 +10,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
+from hw.firmware import failsafe
 from tests.studies.board import counts, emulator, host, sources
 from tests.studies.board.sources import BOARD, COMPUTER, Compiler
 from tests.studies.board.tools import HERE, BoardError, Tools
@@ -23,7 +24,15 @@ NUMBERINGS = (0, 2, 4, 8, 13, 21)
 FAKES = 2000  # parts from here on are the pretended hardware's
 GC_PART = 3999  # as in count.c
 PRETENDED = ("b_state", "b_machine", "b_pyb", "b_time", "b_gc", "b_sys", "b_plan")
-STANDS_FOR = {"machine": "b_machine", "pyb": "b_pyb", "time": "b_time", "utime": "b_time", "gc": "b_gc", "sys": "b_sys"}
+STANDS_FOR = {
+    "machine": "b_machine",
+    "pyb": "b_pyb",
+    "stm": "b_pyb",
+    "time": "b_time",
+    "utime": "b_time",
+    "gc": "b_gc",
+    "sys": "b_sys",
+}
 
 
 @dataclass(frozen=True)
@@ -109,7 +118,7 @@ def _carry_out(
     files = Compiler(tools.mpy_cross, COMPUTER, options.optimise).files(texts)
     for name, text in _pretended().items():
         files |= Compiler(tools.mpy_cross, COMPUTER, 0).module(name, text)
-    saved = json.dumps({"law": options.law, "tare_pa": [106000.0] * 4})
+    saved = json.dumps({"law": options.law, "tare_pa": [106000.0] * 4, "wiring": failsafe.WIRING})
     files["flash.json"] = f"{saved}\n{binascii.crc32(saved.encode()):08x}\n".encode()
     files["parts.txt"] = (parts or "").encode()
     sent: list[bytes] = []

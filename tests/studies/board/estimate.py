@@ -61,7 +61,7 @@ def figures(measured: Measured, options: Options) -> dict[str, Any]:
         "estimated": "from instructions counted under MicroPython's Unix port",
         "gc_every": options.gc_every,
         "optimised": options.optimise,
-        "free_after_boot": round(prices.FREE_AT_START - measured.used),
+        "free_after_boot": round(prices.FREE_AT_START - measured.used - prices.MISSED),
         "armed": measured.armed,
         "board_says": measured.complaints,
         "bytes_a_cycle": [measured.sizes[n] for n in ARMED if n in measured.sizes],

@@ -21,6 +21,7 @@ BUSY = {
     "light_permille": 100,
     "valid": 31,
     "ttl_ms": 500,
+    "host_time": 0xF1234567,
     "host_ms": 0xF1234567,
 }
 NEUTRAL = BUSY | {"roll_cdeg": 0, "pitch_cdeg": 0, "fx_mN": 0, "fy_mN": 0, "mz_100uNm": 0, "light_permille": 0}

@@ -103,3 +103,8 @@ def test_the_firmware_keeps_its_cycle(monkeypatch):
         found, "met"
     )
     assert not result["heap_was_full"] and not result["collector_overflows"]
+
+
+def test_the_twin_s_times_are_those_of_today_s_firmware():
+    """python -m tests.studies.board --write, on a computer with QEMU."""
+    assert imposed.hint(tools.FIRMWARE) == ""

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hw.twin.physics.body import FULL_W, LIGHT_SPREAD, OPEN_V, Lamps
+from hw.twin.physics.body import FULL_W, LIGHT_SPREAD, OPEN_V, Escs, Lamps
 
 PACK = np.array([OPEN_V, OPEN_V])
 
@@ -43,3 +43,39 @@ def test_it_cools_when_it_is_out() -> None:
     for _ in range(900):
         lamps.tick(PACK, 1.0)
     assert lamps.output[0] == 0.0 and lamps.temperature_c[0] < 12.1 and lamps.current_a[0] == 0.0
+
+
+# --- ESCs ---
+
+NEUTRAL, FULL = np.full((1, 8), 1500.0), np.full((1, 8), 1900.0)
+
+
+def hear(escs: Escs, pulses_us: np.ndarray, seconds: float, volts: float = 14.8) -> bool:
+    """Whether all of them let a pulse through after so long."""
+    for _ in range(round(100 * seconds)):
+        escs.tick(pulses_us, np.array([volts]), 0.01)
+    return bool((escs.driven_us(FULL) == FULL).all())
+
+
+def test_an_esc_that_got_its_power_late_wants_neutral_before_it_obeys() -> None:
+    escs = Escs(1)
+    assert hear(escs, FULL, 1.0), "the crew has had them on for long"
+    assert not hear(escs, NEUTRAL, 1.0, volts=0.5)
+    assert not hear(escs, NEUTRAL, 2.0), "it plays its tunes"
+    assert hear(escs, NEUTRAL, 1.0)
+    escs.lose_power(0)
+    assert not hear(escs, FULL, 10.0), "one that never hears neutral stays dead"
+
+
+def test_an_open_loop_lets_no_pulse_through_and_escs_fall_asleep() -> None:
+    escs = Escs(2)
+    escs.turn(0, "open")
+    escs.tick(np.full((2, 8), 1500.0), np.full(2, 14.8), 0.01)
+    assert (escs.driven_us(np.full((2, 8), 1900.0)) == [[0.0] * 8, [1900.0] * 8]).all()
+    escs.turn(0, "closed")
+    assert not escs.open[0]
+    escs.turn(0, "broken")
+    escs.turn(0, "closed")
+    assert escs.open[0]
+    one = Escs(1)
+    assert not hear(one, np.zeros((1, 8)), 3.5) and hear(one, NEUTRAL, 1.5)

@@ -7,6 +7,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.config import Body, Navigation, Tank
+from hw.firmware.bus import NO_GRAVITY
 from hw.firmware.wire import NO_RATE
 from hw.twin.dive import Dive
 from hw.twin.physics.body import (
@@ -300,6 +301,18 @@ def test_the_boards_of_a_fleet_with_gyros_have_one_and_nothing_else_changes(fitt
         dive.states["held"] = 0
         for _ in range(20):
             dive.tick(0.0)
-    rates = [tick[-1] for tick in one.boards[0].ticks]
+    rates = [tick[6] for tick in one.boards[0].ticks]
     assert (len(set(rates)) > 5) if fitted else set(rates) == {NO_RATE}
-    assert [tick[:-1] for tick in one.boards[0].ticks] == [tick[:-1] for tick in other.boards[0].ticks]
+    assert [tick[:6] for tick in one.boards[0].ticks] == [tick[:6] for tick in other.boards[0].ticks]
+
+
+@pytest.mark.parametrize(("roll_deg", "up_mg", "level_mg"), [(0, 1000, 0), (30, 866, 500), (180, -1000, 0)])
+def test_an_accelerometer_says_where_up_is(roll_deg, up_mg, level_mg) -> None:
+    states = np.zeros(2, STATE)
+    states["quaternion"] = quaternion(math.radians(roll_deg), 0.0, 0.4)
+    says = np.mean([Gyros(3, ["r1", "r2"], True).gravity_mg(states) for _ in range(50)], axis=0)
+    np.testing.assert_allclose(says, [[up_mg, level_mg]] * 2, atol=80.0)
+    assert Gyros(3, ["r1", "r2"], False).gravity_mg(states) == [NO_GRAVITY] * 2
+    dead = Gyros(3, ["r1", "r2"], True)
+    dead.fail("r2", stuck=False)
+    assert dead.gravity_mg(states)[1] == NO_GRAVITY != dead.gravity_mg(states)[0]
