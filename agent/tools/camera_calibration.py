@@ -8,7 +8,7 @@ focal length, centre and two radial terms take it in (perception of a target nea
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -25,7 +25,7 @@ from agent.process.command import Progress, with_bar
 from agent.tools.focus_calibration import HUBER, Array, CalibrationRefused, check_file, gauss_newton, put, scale, solve
 from agent.tools.tags import plain_camera
 from hw.camera.camera import Image
-from hw.camera.files import picture_files, read_picture
+from hw.camera.files import folder_of_pictures, read_picture, turned
 
 MIN_VIEWS = 6  # six unknowns of the camera; fewer views leave focal length and distance entangled
 MAX_RESIDUAL_PX = 1.5  # beyond it the squares are not what was said, or the photographs are blurred
@@ -49,7 +49,10 @@ def calibrate_camera(
 ) -> Intrinsics:
     """Fit, print, and put the result into [camera] of `out` if given. Raises ConfigError, one line."""
     kept = check_file(out).get("camera", {}) if out is not None else {}
-    fit = with_bar(console, "looking for the board", lambda show: intrinsics(folder, columns, rows, square_mm, show))
+    shots = Photographs(folder)
+    fit = with_bar(console, "looking for the board", lambda show: intrinsics(shots, columns, rows, square_mm, show))
+    for line in shots.said:
+        console.print(line)
     corner_px = 0.5 * float(np.hypot(fit.width_px, fit.height_px))
     radius = corner_px / fit.f_px
     bend_px = corner_px * abs(fit.k1) * radius**2
@@ -67,27 +70,50 @@ def calibrate_camera(
     return fit
 
 
-def intrinsics(folder: Path, columns: int, rows: int, square_mm: float, progress: Progress) -> Intrinsics:
-    """Fit all photographs of a folder that show the whole board of columns x rows inner corners.
+class Photographs:
+    """The photographs of a folder, as the sensor has them; those that cannot be read are named in `said`.
+
+    Raises ConfigError where there are none."""
+
+    def __init__(self, folder: Path) -> None:
+        found = folder_of_pictures(folder)
+        self.folder, self.paths = folder, found.files
+        line = turned(found.files)
+        self.said = found.left_out if line is None else [*found.left_out, line]
+
+    def unread(self) -> str:
+        """The first that could not be read, for the end of a sentence."""
+        return next((f"; {line}" for line in self.said if line.startswith("left out")), "")
+
+    def read(self, progress: Progress, **how: bool) -> Iterator[tuple[Path, NDArray[np.uint8]]]:
+        """Each that can be read; `how` as for read_picture."""
+        for done, path in enumerate(self.paths, start=1):
+            try:
+                yield path, read_picture(path, **how)
+            except ConfigError as error:
+                self.said.append(f"left out: {error}")
+            progress(done, len(self.paths))
+
+
+def intrinsics(shots: Photographs, columns: int, rows: int, square_mm: float, progress: Progress) -> Intrinsics:
+    """Fit all photographs that show the whole board of columns x rows inner corners.
 
     Progress counts photographs. Raises ConfigError where they cannot be used or do not fit, one line.
     """
-    paths = picture_files(folder)
+    folder, paths = shots.folder, shots.paths
     found: list[NDArray[np.float32]] = []
     size: tuple[int, int] | None = None
-    for done, path in enumerate(paths, start=1):
-        grey = read_picture(path, grey=True, stretch=True)  # each is looked at by itself
+    for path, grey in shots.read(progress, grey=True, stretch=True):  # each is looked at by itself
         if size not in (None, grey.shape[::-1]):
             raise ConfigError(f"{path}: is {grey.shape[1]}x{grey.shape[0]}, others are {size[0]}x{size[1]}")
         size = (grey.shape[1], grey.shape[0])
         seen, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         if seen:
             found.append(corners.astype(np.float32))
-        progress(done, len(paths))
     if size is None or len(found) < MIN_VIEWS:
         raise ConfigError(
             f"{folder}: the board of {columns}x{rows} inner corners is whole in {len(found)} of {len(paths)} "
-            f"photographs; {MIN_VIEWS} are needed, from different sides"
+            f"photographs; {MIN_VIEWS} are needed, from different sides{shots.unread()}"
         )
     board = np.zeros((columns * rows, 3), np.float32)
     board[:, :2] = square_mm * np.mgrid[0:columns, 0:rows].T.reshape(-1, 2)
@@ -279,7 +305,10 @@ def calibrate_gamma(folder: Path, out: Path | None, console: Console) -> Gamma:
     kept = check_file(out).get("camera") if out is not None else None
     if out is not None and kept is None:
         raise ConfigError(f"{out}: has no table [camera] that a gamma could go to; make it by aucamp calibrate camera")
-    fit = with_bar(console, "looking for blurred tags", lambda show: gamma_of_folder(folder, show))
+    shots = Photographs(folder)
+    fit = with_bar(console, "looking for blurred tags", lambda show: gamma_of_folder(shots, show))
+    for line in shots.said:
+        console.print(line)
     low, high = fit.blur_px
     console.print(
         f"gamma {fit.gamma:.2f} +- {fit.sigma:.2f}, from {fit.tags} tags in {fit.pictures} pictures, "
@@ -290,16 +319,15 @@ def calibrate_gamma(folder: Path, out: Path | None, console: Console) -> Gamma:
     return fit
 
 
-def gamma_of_folder(folder: Path, progress: Progress) -> Gamma:
+def gamma_of_folder(shots: Photographs, progress: Progress) -> Gamma:
     """The gamma of all pictures of a folder. Progress counts pictures. Raises ConfigError where they cannot say it."""
-    paths = picture_files(folder)
+    folder = shots.folder
     gammas, blurs_px, showing = [], [], 0
-    for done, path in enumerate(paths, start=1):
-        found = gammas_of_picture(read_picture(path))
+    for _, image in shots.read(progress):
+        found = gammas_of_picture(image)
         gammas += [gamma for gamma, _ in found]
         blurs_px += [blur_px for _, blur_px in found]
         showing += bool(found)
-        progress(done, len(paths))
     if len(gammas) < FEWEST:
         raise ConfigError(
             f"{folder}: {len(gammas)} tags are blurred by {NARROWEST_BLUR_PX:.0f} px to {WIDEST_BLUR} of a module and "

@@ -235,8 +235,8 @@ class Asked(NamedTuple):
 
 
 def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
-    """Say HEADER and a line for each picture; returns whether the thing is still there at the end, or with a truth
-    that its figures are written.
+    """Say HEADER and a line for each picture; returns whether every picture could be read and the thing is still there
+    at the end, or with a truth that its figures are written.
 
     Raises ConfigError and CameraError, one line each, before anything is said or written where the first picture, the
     box and the truth do not go together.
@@ -258,8 +258,10 @@ def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
     with writer(asked.out) as show:
         say(HEADER)
         said = with_bar(console, "following", lambda bar: follow(found, drawn, follower, show, say, bar))
+    for text in (*found.notes, *found.problems):
+        console.print(text, highlight=False)
     if not truth:
-        return said[-1].state in FOLLOWED
+        return said[-1].state in FOLLOWED and not found.problems
     if asked.frames is None:
         check_rows(truth, len(said))
     figures = score([row for row in truth if row.frame < len(said)], said, asked.rate_hz or found.rate_hz or RATE_HZ)
@@ -267,7 +269,7 @@ def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
     write_score(figures, path)
     console.print(table(figures))
     console.print(f"written to {path}")
-    return True
+    return not found.problems
 
 
 def follow(

@@ -39,7 +39,7 @@ from agent.tools.focus_calibration import read_table
 from agent.tools.track import read_truth
 from hw.camera import files as camera_files
 from hw.camera.camera import CameraError
-from hw.camera.files import open_stack, read_picture
+from hw.camera.files import open_stack, read_picture, turned
 from hw.twin.scene import SCENES, load_scene
 from replay.check.compare import load_ignored
 from replay.report.creature_track import _true_boxes, true_path
@@ -210,7 +210,7 @@ def _transforms(path: Path) -> None:
     for name in ("a.png", "b.jpg"):
         if not path.with_name(name).exists():
             cv2.imwrite(str(path.with_name(name)), np.full((24, 32, 3), 90, np.uint8))
-    for view in transforms_views(path, lambda done, total, what="": None):
+    for view in transforms_views(path, lambda done, total, what="": None).views:
         sound = all(np.isfinite(part).all() for part in (view.camera, view.rotation, view.position_m))
         assert sound, "no finite view"
 
@@ -228,6 +228,7 @@ def _pixels(rng: Random) -> bytes:
 
 def _picture(path: Path) -> None:
     with patch.object(camera_files, "MOST_PIXELS", MOST_PIXELS):
+        turned([path])
         image = read_picture(path)
     assert image.size <= 3 * MOST_PIXELS, "larger than its head says"
     assert image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8, "no picture"

@@ -51,7 +51,7 @@ FUZZED: dict[str, tuple[str, ...]] = {
     "picture": (
         *(
             f"agent.core.codec:{name}"
-            for name in ("stated_size", "_jpeg_size", "_png_size", "_tiff_size", "_webp_size")
+            for name in ("stated_size", "_jpeg_size", "_png_size", "_tiff_size", "_webp_size", "several", "_turned")
         ),
         "hw.camera.files:read_picture",
     ),
@@ -99,7 +99,8 @@ SAFE = {  # a module, or one of its readers
     "agent.process.command:with_pictures": "copies bytes",
     "agent.process.transport:came": "reads a key by topics.chunks, as `samples` do",
     "agent.robot.fleet_reader:with_behaviour": "what who starts it types, read as `fleet` is",
-    "agent.tools.enhance:_announced": "films: FFmpeg's, which aucamp gives to nobody but who asks for one",
+    "agent.core.codec:_is_preview": "a part of `several`",
+    "agent.core.codec:rows": "a part of `ranges`, `stack` and `truth`",
     "agent.tools.focus_calibration:check_file": "looks whether there is a table, by read_toml",
     "agent.tools.tag_map:check_out": "looks whether there is a table, by read_toml",
     "agent.tools.training": "what the same training wrote",

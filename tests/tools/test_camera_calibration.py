@@ -1,5 +1,7 @@
 """Intrinsics come back from photographs painted with known ones."""
 
+import io
+import shutil
 from pathlib import Path
 
 import cv2
@@ -54,8 +56,19 @@ def test_what_cannot_be_used_is_one_line(folder: Path, tmp_path: Path) -> None:
         calibrate_camera(tmp_path / "none", 9, 6, 25.0, None, QUIET)
     with pytest.raises(ConfigError, match="whole in 0 of 12"):
         calibrate_camera(folder, 13, 6, 25.0, None, QUIET)
-    with pytest.raises(ConfigError, match=r"no pictures in this folder; it needs files that end in \.png"):
+    with pytest.raises(ConfigError, match="no pictures in this folder; it needs a PNG"):
         calibrate_camera(tmp_path, 9, 6, 25.0, None, QUIET)
     (tmp_path / "a.png").write_bytes(b"no picture")
     with pytest.raises(ConfigError, match=r"a\.png: not an image that OpenCV can read"):
         calibrate_camera(tmp_path, 9, 6, 25.0, None, QUIET)
+
+
+def test_photographs_that_cannot_be_read_are_left_out_by_name(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "00.png").write_bytes(b"")
+    (tmp_path / "z.heic").write_bytes(b"\0\0\0\x18ftypheic")
+    console = Console(record=True, width=200, file=io.StringIO())
+    assert calibrate_camera(tmp_path, 9, 6, 25.0, None, console).views == 11
+    said = console.export_text()
+    assert "left out: " in said and "00.png: not an image that OpenCV can read (it is empty)" in said
+    assert "z.heic: is HEIC" in said
