@@ -25,10 +25,9 @@ from agent.core.status import fault_kind
 from agent.core.step_io import Outputs
 from replay.check.reexecute import STEP_BYTES
 from replay.files.channels import STEP_OUT, network_topic
-from replay.files.info import Info, as_json, describe, info
+from replay.files.info import Info, as_json, describe, info, suspecting
 from replay.files.log import read
 from replay.files.mcap_file import parts
-from replay.files.mcap_walk import suspecting
 
 MOST = 12  # losses or faults of one robot: more are counted, not told one by one
 

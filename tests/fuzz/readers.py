@@ -85,7 +85,10 @@ FUZZED: dict[str, tuple[str, ...]] = {
         *(f"replay.check.compare:{name}" for name in ("_ordinal", "differences", "opened")),
         *(f"replay.check.reexecute:{name}" for name in ("_open_box", "attached_toml")),
         *("replay.export:_msgpack", "replay.files.frames:pixels", "replay.files.info:_counts"),
-        *(f"replay.files.mcap_walk:{name}" for name in ("Audit.attachment", "_walk", "message", "opened", "parsed")),
+        *(
+            f"replay.files.mcap_walk:{name}"
+            for name in ("Audit.attachment", "_record", "_begins", "message", "opened", "parsed")
+        ),
     ),
     "wire": ("hw.stm32.protocol:HostProtocol._on_frame",),
 }

@@ -24,8 +24,8 @@ from agent.core.topics import Topic
 from agent.ground.page.rows import CAME, KEPT, LINES, SELDOM_NS, Board, Rows, text
 from replay.check.reexecute import recordings
 from replay.files.channels import network_topic
+from replay.files.info import suspecting
 from replay.files.log import read
-from replay.files.mcap_walk import suspecting
 from replay.report.timeline import open_fleet_file, open_run, surveyed
 
 # --- a recording laid out ---
