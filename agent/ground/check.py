@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agent.core.config import ConfigError, Fleet, read_toml
+from agent.core.config import ConfigError, Fleet, read_text, read_toml
 from agent.ground.check_files import (
     Finding,
     address_finding,
@@ -27,6 +27,7 @@ from agent.ground.check_files import (
     target_findings,
     tried,
     twin_findings,
+    unit_findings,
     watchers_here,
 )
 from agent.robot.arbiter import broken_extend_rules
@@ -160,7 +161,7 @@ def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
     """What concerns all robots."""
     robots, targets = ", ".join(fleet.robot), ", ".join(fleet.target)
     yield Finding("ok", "file", f"{path}: fleet '{fleet.fleet}' of {robots}; they look for {targets}")
-    marks = [mark for mark in MARKS if mark in path.read_text(encoding="utf-8")]
+    marks = [mark for mark in MARKS if mark in read_text(path, "correct it")]
     if marks:
         text = f"{path}: still marked {' and '.join(marks)}; put in what is true of your tank, and take the marks out"
         yield Finding("warning", "file", text)
@@ -170,6 +171,7 @@ def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
     yield from loopback_findings(fleet)
     yield from twin_findings(fleet, path)
     yield from target_findings(fleet)
+    yield from unit_findings(fleet)
     yield from enhancement_findings(fleet)
     if fleet.access.keys is None:
         yield Finding("ok", "fleet", "signs nothing: [access] names no keys")

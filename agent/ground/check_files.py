@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import errno
 import ipaddress
+import math
 import os
 import resource
 import shutil
@@ -189,6 +190,36 @@ def target_findings(fleet: Fleet) -> Iterator[Finding]:
             yield found
     if balls_can_be_read:
         yield from (Finding("warning", "fleet", line) for line in colours_too_alike(fleet))
+
+
+# What tanks, targets and tags have; beyond it a number is rarely meant so.
+LONGEST_M, SHORTEST_M = 60.0, 0.2
+RADIUS_M, TAG_M = (0.005, 0.5), (0.01, 1.0)
+
+
+def unit_findings(fleet: Fleet) -> Iterator[Finding]:
+    """Numbers that are in another unit than their names say, probably."""
+    size_m = fleet.tank.size_m
+    text = " x ".join(f"{length:g}" for length in size_m)
+    if max(size_m) > LONGEST_M:
+        unit = "mm" if max(size_m) >= 1e3 else "cm"
+        yield Finding(
+            "warning", "fleet", f"tank.size_m: {text} m is no tank; are these numbers in {unit}? Write metres"
+        )
+    elif max(size_m) < SHORTEST_M:
+        yield Finding("warning", "fleet", f"tank.size_m: {text} m is no tank; write metres")
+    sizes = {f"target.{name}.radius_m": (one.radius_m, RADIUS_M) for name, one in fleet.target.items() if one.radius_m}
+    if fleet.landmarks is not None:
+        sizes["landmarks.size_m"] = fleet.landmarks.size_m, TAG_M
+    for key, (length_m, (least, most)) in sizes.items():
+        if not least <= length_m <= most:
+            yield Finding("warning", "fleet", f"{key}: {length_m:g} m; {least:g} to {most:g} are usual: write metres")
+    yaws = {name: robot.pose.yaw_deg for name, robot in fleet.robot.items() if robot.pose is not None}
+    if all(abs(yaw) <= math.tau for yaw in yaws.values()):
+        odd = next((name for name, yaw in yaws.items() if yaw != round(yaw)), None)
+        if odd is not None:
+            text = f"robot.{odd}.pose.yaw_deg: {yaws[odd]:g} degrees; is it in radians? That would be"
+            yield Finding("warning", "fleet", f"{text} {math.degrees(yaws[odd]):.1f} degrees: write degrees")
 
 
 def ball_sample(name: str, target: Target, size: tuple[int, int]) -> str:

@@ -4,7 +4,6 @@ The fits that calibration uses, and the calibration file with its parts.
 
 from __future__ import annotations
 
-import csv
 import math
 import shutil
 from collections.abc import Callable, Sequence
@@ -25,6 +24,7 @@ from agent.core.messages import Symmetric
 from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import TiltedPeak, with_sag
 from agent.process.command import Failed, free_name
+from hw.camera.files import read_rows
 
 # --- fits ---
 # Fit what calibration measured: the focus hyperbola. And how such fits are made, on a handful of unknowns: by Gauss-
@@ -266,16 +266,12 @@ def read_table(path: Path) -> Measured:
 
     tilt_deg: how far the camera looked up; u_mm is then counted along its axis.
     """
-    try:
-        lines = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); give a CSV file") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: not a CSV file ({error}); save the table as CSV in UTF-8") from None
+    names, numbered = read_rows(path)
+    lines = [line for _, line in numbered]
     if not lines:
         raise ConfigError(f"{path}: no rows; write one line per peak under the header {','.join(REQUIRED)}")
-    header = set(lines[0])
-    for column in header - set(REQUIRED) - set(OPTIONAL):
+    header = set(names)
+    for column in sorted(header - set(REQUIRED) - set(OPTIONAL)):
         raise ConfigError(f"{path}: unknown column '{column}'; known are {', '.join((*REQUIRED, *OPTIONAL))}")
     for column in set(REQUIRED) - header:
         raise ConfigError(f"{path}: column '{column}' is missing; add it")
@@ -284,7 +280,7 @@ def read_table(path: Path) -> Measured:
         if len(values) > 1:
             raise ConfigError(f"{path}: column '{column}' mixes {', '.join(values)}; fit each by itself")
     rows, tilted = [], []
-    for number, line in enumerate(lines, start=2):
+    for number, line in numbered:
         u_mm, code = (_number(path, number, column, line[column]) for column in REQUIRED)
         if u_mm <= 0:
             raise ConfigError(f"{path}: line {number}: u_mm is {u_mm:g}; a range is positive")
@@ -294,10 +290,25 @@ def read_table(path: Path) -> Measured:
             continue
         width = _number(path, number, "width", line["width"]) if line.get("width") else math.nan
         rows.append(FocusRow(u_mm * 1e-3, code, width))
+    _check_ranges(path, [row.u_m for row in rows])
     known = [row.width for row in rows if math.isfinite(row.width)]
     rho = [row.rho for row in rows] or [0.0]
     typical = float(np.median(known)) if known else 0.1 * (max(rho) - min(rho))
     return Measured([row if math.isfinite(row.width) else row._replace(width=typical) for row in rows], tilted)
+
+
+NEAR_M, FAR_M = 0.15, 20.0  # the farthest board is farther than this, and no board is farther than that
+UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0}  # in mm, that are taken for them
+
+
+def _check_ranges(path: Path, ranges_m: Sequence[float]) -> None:
+    """Raises ConfigError for distances that no board stands at, with the unit that they may be in."""
+    if not ranges_m or NEAR_M <= max(ranges_m) <= FAR_M:
+        return
+    low, high = min(ranges_m), max(ranges_m)
+    fits = [unit for unit, mm in UNITS.items() if NEAR_M <= high * mm <= 5.0 and low * mm >= 0.05]
+    likely = f"is u_mm in {' or '.join(fits)}?" if fits else "u_mm is in millimetres;"
+    raise ConfigError(f"{path}: {low:.2g} to {high:.2g} m are no distances of a board; {likely} correct the column")
 
 
 def paper_gauge(fit: FocusFit) -> PaperGauge:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import itertools
 import math
+from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -23,9 +24,11 @@ from agent.core.codec import (
     OTHER_PICTURES,
     PICTURES,
     UPRIGHT,
+    as_text,
     cut_off,
     kind_of,
     orientation,
+    rows,
     several,
     stated_size,
 )
@@ -162,6 +165,20 @@ def write_picture(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> 
     write_whole(path, data.tobytes())
 
 
+# --- tables ---
+
+
+def read_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """A CSV file as codec.rows has it: names, and lines with their numbers. Raises ConfigError."""
+    give = "save the table as CSV in UTF-8"
+    try:
+        return rows(as_text(read_file(path, MOST_TABLE_BYTES, "give a CSV file")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: cannot be read as a table, not a CSV file ({error}); {give}") from None
+
+
+MOST_TABLE_BYTES = 2**24  # a line for each frame of an hour
+
 # --- stack of photographs ---
 
 POSITIONS = "positions.csv"
@@ -242,17 +259,19 @@ def _read_positions(directory: Path) -> list[Photograph]:
         raise CameraError(f"{directory}: no such directory; give one with photographs and {POSITIONS}")
     path = directory / POSITIONS
     wanted = ",".join(COLUMNS)
+    if not path.exists():
+        raise CameraError(f"{path} is missing; write one with the columns {wanted}")
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
-            if missing:
-                raise CameraError(f"{path}: no column {' and '.join(missing)}; the first line must be {wanted}")
-            photographs = [_photograph(row, directory, f"{path}: line {reader.line_num}") for row in reader]
-    except FileNotFoundError:
-        raise CameraError(f"{path} is missing; write one with the columns {wanted}") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CameraError(f"{path}: cannot be read as CSV: {error}") from None
+        names, table = read_rows(path)
+    except ConfigError as error:
+        raise CameraError(str(error)) from None
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        raise CameraError(f"{path}: no column {' and '.join(missing)}; the first line must be {wanted}")
+    photographs = [_photograph(row, directory, f"{path}: line {number}") for number, row in table]
+    twice = [name for name, count in Counter(one.path.name for one in photographs).items() if count > 1]
+    if twice:
+        raise CameraError(f"{path}: {twice[0]} stands in more than one row; give each row its own photograph")
     photographs.sort()
     if len(photographs) < MIN_PHOTOGRAPHS:
         raise CameraError(f"{path}: {len(photographs)} photographs; a peak needs at least {MIN_PHOTOGRAPHS}")
@@ -263,8 +282,8 @@ def _read_positions(directory: Path) -> list[Photograph]:
     return photographs
 
 
-def _photograph(row: dict[str, str | None], directory: Path, where: str) -> Photograph:
-    name, focus_position = (row[column] or "" for column in COLUMNS)
+def _photograph(row: dict[str, str], directory: Path, where: str) -> Photograph:
+    name, focus_position = (row[column] for column in COLUMNS)
     try:
         value = float(focus_position)
     except ValueError:
