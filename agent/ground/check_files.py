@@ -203,9 +203,7 @@ def unit_findings(fleet: Fleet) -> Iterator[Finding]:
     text = " x ".join(f"{length:g}" for length in size_m)
     if max(size_m) > LONGEST_M:
         unit = "mm" if max(size_m) >= 1e3 else "cm"
-        yield Finding(
-            "warning", "fleet", f"tank.size_m: {text} m is no tank; are these numbers in {unit}? Write metres"
-        )
+        yield Finding("warning", "fleet", f"tank.size_m: {text} m is no tank; are they {unit}? Write metres")
     elif max(size_m) < SHORTEST_M:
         yield Finding("warning", "fleet", f"tank.size_m: {text} m is no tank; write metres")
     sizes = {f"target.{name}.radius_m": (one.radius_m, RADIUS_M) for name, one in fleet.target.items() if one.radius_m}

@@ -212,6 +212,11 @@ class StackCamera:
         """focus_position of each lens position, increasing."""
         return tuple(photograph.focus_position for photograph in self._photographs)
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """File name of each lens position."""
+        return tuple(photograph.path.name for photograph in self._photographs)
+
     def focus_range(self) -> FocusRange:
         return FocusRange(0, len(self._photographs) - 1, 1)
 

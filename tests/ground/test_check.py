@@ -209,8 +209,8 @@ def test_an_address_that_every_computer_has_is_told_of(real: Path, tmp_path: Pat
 
 
 SIZES = {
-    "millimetres": ("size_m = [1500.0, 1200.0, 800.0]", "1500 x 1200 x 800 m is no tank; are these numbers in mm?"),
-    "centimetres": ("size_m = [150.0, 120.0, 80.0]", "150 x 120 x 80 m is no tank; are these numbers in cm?"),
+    "millimetres": ("size_m = [1500.0, 1200.0, 800.0]", "1500 x 1200 x 800 m is no tank; are they mm?"),
+    "centimetres": ("size_m = [150.0, 120.0, 80.0]", "150 x 120 x 80 m is no tank; are they cm?"),
 }
 
 
