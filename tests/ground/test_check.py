@@ -9,6 +9,8 @@ import socket
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -241,3 +243,22 @@ def test_a_mark_of_its_encoding_is_no_mistake_in_a_fleet_file(tmp_path: Path, en
     path.write_text(path.read_text(), encoding=encoding)
     assert load_fleet(path) == wanted
     assert check(path, None, tmp_path).well
+
+
+def test_one_device_by_two_names_is_found(real: Path, port: str, tmp_path: Path) -> None:
+    """As udev makes links to one port, by its place and by its number."""
+    film = tmp_path / "film.avi"
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30, (640, 480))
+    writer.write(np.zeros((480, 640, 3), np.uint8))
+    writer.release()
+    for link in ("by-id", "by-path"):
+        (tmp_path / link).symlink_to(port)
+    text = re.sub(r'"tcp/192.168.7.12:\d+"', '"tcp/127.0.0.1:17462"', real.read_text())
+    names = iter(("by-id", "by-path"))
+    text = re.sub(r"serial = .*", lambda _: f'serial = "{tmp_path / next(names)}"', text)
+    films = iter((str(film), f"{tmp_path}/./film.avi"))
+    text = re.sub(r"camera = .*", lambda _: f'camera = "video:{next(films)}"', text)
+    real.write_text(text)
+    checked = check(real, None, tmp_path)
+    assert f"r2: serial '{tmp_path / 'by-path'}' is also that of 'r1', which calls it" in str(lines(checked, "wrong"))
+    assert f"r2: camera 'video:{tmp_path}/./film.avi' is also that of 'r1'" in str(lines(checked, "warning"))
