@@ -59,7 +59,7 @@ MISTAKES = [
     (["record", "nowhere.toml", "--out", "x.mcap"], "no such file"),
     (["depth-map", "nowhere"], "nowhere: no such folder; give a folder of photographs, or a camera"),
     (["depth-map", "stack:nowhere"], "nowhere"),
-    (["calibrate", "focus", "nowhere.csv"], "nowhere.csv: cannot be read (No such file or directory); give a CSV file"),
+    (["calibrate", "focus", "nowhere.csv"], "nowhere.csv: no such file; give a CSV file"),
     (["enhance", TANK, "--variant", "fine"], "'fine' is not one of 'plain', 'folded', 'fast', 'classic', 'auto'"),
     (["track", "nowhere", "--box", "1,2,3,4"], "nowhere: no such file or folder"),
     (["keys", TANK], "Missing option '--out'"),
