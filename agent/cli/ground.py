@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
-from agent.core.config import ConfigError, write_whole
+from agent.core.config import ConfigError, to_install, write_whole
 from agent.core.verbs import VERBS
 from agent.process.command import FleetFile, Port, RobotName, complain, new_file, refuse_options, run_folder, terminal
 from agent.process.launch import until_signal
@@ -268,7 +268,7 @@ def extra(name: str, package: str) -> Iterator[None]:
     except ModuleNotFoundError as missing:
         if missing.name is None or missing.name.partition(".")[0] != package:
             raise
-        raise ConfigError(f"this bridge needs the extra `{name}`; in your clone: pip install -e '.[{name}]'") from None
+        raise ConfigError(f"this bridge needs the extra `{name}`; {to_install(name)}") from None
 
 
 @app.command(no_args_is_help=True, epilog="Example: aucamp bridge mavlink fleet.toml --as ann")

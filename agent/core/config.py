@@ -388,6 +388,12 @@ def inside(folder: Path, name: str) -> Path:
     return folder / path
 
 
+def to_install(extra: str) -> str:
+    """What to type for an extra: in a clone, or of an installed package."""
+    is_clone = (Path(__file__).parents[2] / "pyproject.toml").exists()
+    return f"in your clone: pip install -e '.[{extra}]'" if is_clone else f"pip install 'aucamp[{extra}]'"
+
+
 @contextmanager
 def writing(path: Path) -> Iterator[None]:
     """An OSError of the block names this file: a full disk does not say for what it had no room."""

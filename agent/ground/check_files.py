@@ -15,12 +15,13 @@ from datetime import UTC, datetime
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from shlex import quote
 from typing import Literal, NamedTuple
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
 
-from agent.core.config import ConfigError, Fleet, Target
+from agent.core.config import ConfigError, Fleet, Target, to_install
 from agent.perception.detection.detectors import colours_too_alike, creature_hues, sought, target_picture
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import check_box, load_box_tracker, model_files
@@ -88,7 +89,8 @@ def address_finding(fleet: Fleet, name: str, path: Path, asked: bool) -> Finding
         text = f"{listen} is no address of this computer; check {name} on its own, or write one of this computer's"
         return Finding("wrong", name, text)
     if not here:
-        return Finding("ok", name, f"{listen} is another computer's; see there: aucamp check {path} --robot {name}")
+        there = f"aucamp check {quote(str(path))} --robot {name}"
+        return Finding("ok", name, f"{listen} is another computer's; see there: {there}")
     return port_finding(name, listen)
 
 
@@ -267,7 +269,7 @@ def enhancement_findings(fleet: Fleet) -> Iterator[Finding]:
         yield Finding("ok", "fleet", "[camera] enhance: the network can be used")
     else:
         text = "[camera] enhance: torch is not there, so colours alone are mended"
-        yield Finding("warning", "fleet", f"{text}; in your clone: pip install -e '.[enhance]'")
+        yield Finding("warning", "fleet", f"{text}; {to_install('enhance')}")
 
 
 def disk_finding(folder: Path) -> Finding:

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from agent.clock import machine
-from agent.core.config import ConfigError, write_whole
+from agent.core.config import ConfigError, to_install, write_whole
 from agent.process.command import Failed, Progress, Show
 from agent.reconstruction import surfels
 from agent.reconstruction.export import Kind, export
@@ -122,7 +122,7 @@ def image_model(kind: ModelKind, views: Sequence[View], mesh: Mesh, cell_m: floa
     if kind == "surfels":
         return surfels.learnt(views, mesh, cell_m, progress)
     if importlib.util.find_spec("torch") is None:
-        raise ConfigError("a field needs torch: pip install 'aucamp[reconstruct]', or leave out --model")
+        raise ConfigError(f"a field needs torch: {to_install('reconstruct')}, or leave out --model")
     from agent.reconstruction import field  # torch takes seconds to import, and may be absent
 
     return field.learnt(views, field.FieldSettings(), progress, machine.monotonic_s)

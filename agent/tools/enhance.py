@@ -18,9 +18,10 @@ from rich.console import Console
 
 from agent.core.config import ConfigError
 from agent.perception.enhancement.enhance import BUDGET_MS, Enhancer, Image, Variant, enhancer
-from agent.process.command import Progress, new_folder, with_bar
+from agent.process.command import Progress, new_file, new_folder, with_bar
 from hw.camera.camera import Camera, CameraGone, Frame
 from hw.camera.files import (
+    SUFFIXES,
     VideoCamera,
     folder_of_pictures,
     is_picture,
@@ -31,7 +32,7 @@ from hw.camera.files import (
     write_picture,
 )
 from hw.camera.open import open_camera
-from replay.files.frames import film
+from replay.files.frames import CODECS, film
 
 # --- sources of pictures ---
 # A source of pictures by name: an image, a folder of images, a video file, or the address of a camera.
@@ -199,14 +200,19 @@ def run(
     console: Console,
 ) -> int:
     """Exit code: 0, or 1 if a part of the source could not be read. Raises ConfigError and CameraError, one line."""
-    new_folder(out)
+    one = out.suffix.lower() in SUFFIXES or out.suffix.lower() in CODECS
+    (new_file if one else new_folder)(out)
     found = pictures(source, frames, of_camera=FRAMES, upright=True)
+    if one and not (found.total == 1 and found.kind == "images" and out.suffix.lower() == ".png"):
+        raise ConfigError(f"--out {out}: is the name of one picture; give a folder, or for one picture a NAME.png")
     way = enhancer(variant, weights, BUDGET_MS if found.kind == "camera" else None)
     if way.why:
         console.print(f"{way.variant}: {way.why}")
     render = side_by_side_with(way) if side_by_side else way.apply
-    make_folder(out)
-    if found.kind == "video":
+    make_folder(out.parent if one else out)
+    if one:
+        write_picture(out, render(next(found.each).image))
+    elif found.kind == "video":
         with_bar(console, "enhance", lambda show: enhanced_film(found, out / f"{Path(source).stem}.mp4", render, show))
     else:
         with_bar(console, "enhance", lambda show: stills(found, out, render, show))

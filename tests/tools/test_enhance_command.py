@@ -82,7 +82,7 @@ def test_16_bits_are_scaled_by_their_largest_value(tmp_path):
     (["text.avi"], "text.avi: not a video"),
     (["usb:1"], "no such kind of camera"),
     (["stack:empty"], "positions.csv"),
-    (["a.png", "--out", "text.png"], "text.png: is there already, and is no folder; give --out a new folder"),
+    (["a.png", "--out", "text.png"], "text.png: is there already, and nothing is overwritten; give --out another name"),
     (["a.png", "--out", "/proc/enhanced"], "--out /proc/enhanced"),
     (["a.png", "--variant", "best"], "'--variant': 'best' is not one of 'plain', 'folded', 'fast'"),
     (["a.png", "--variant", "classic", "--evaluate", "empty", "empty"], "either a SOURCE or --evaluate"),
@@ -280,3 +280,17 @@ def test_one_picture_of_another_kind_is_no_film(tmp_path):
     (tmp_path / "a.gif").write_bytes(b"GIF89a" + bytes(40))
     with pytest.raises(ConfigError, match=r"a\.gif: is GIF, which is not read; convert it to PNG or JPEG"):
         pictures(str(tmp_path / "a.gif"), None)
+
+
+def test_one_picture_may_be_given_its_name(tmp_path):
+    assert enhance(write(tmp_path / "a.png", PICTURE), tmp_path / "clear.png") == 0
+    assert cv2.imread(str(tmp_path / "clear.png")).shape == PICTURE.shape
+    (tmp_path / "two").mkdir()
+    for name in "ab":
+        write(tmp_path / "two" / f"{name}.png", PICTURE)
+    for source, out in ((tmp_path / "two", "x.png"), (tmp_path / "a.png", "x.jpg"), (tmp_path / "a.png", "x.mp4")):
+        with pytest.raises(ConfigError, match=f"--out .*{out}: is the name of one picture; give a folder"):
+            enhance(source, tmp_path / out)
+        assert not (tmp_path / out).exists()
+    with pytest.raises(ConfigError, match="is there already, and nothing is overwritten"):
+        enhance(tmp_path / "a.png", tmp_path / "clear.png")
