@@ -178,7 +178,8 @@ def rows(text: str) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
     mark = max(",;\t", key=first.count)  # of equals the first
     reader = csv.reader(io.StringIO(text), delimiter=mark, skipinitialspace=True)
     names, found = None, list[tuple[int, dict[str, str]]]()
-    for cells in reader:
+    for read in reader:
+        cells = [printable(cell) for cell in read]
         if not any(cell.strip() for cell in cells):
             continue
         if names is None:

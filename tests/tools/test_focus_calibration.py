@@ -383,6 +383,13 @@ def test_spreadsheets_of_all_countries_are_read(tmp_path: Path, encoding: str, m
     assert read_table(path) == wanted
 
 
+def test_a_name_of_two_lines_is_told_in_one(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text('u_mm,code,"co\nlour"\n100,2,red\n')
+    with pytest.raises(ConfigError, match=r"unknown column 'co\?lour'"):
+        read_table(path)
+
+
 def test_decimal_commas_between_commas_are_a_line_of_too_many_cells(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text(peaks(comma=","))
