@@ -292,7 +292,7 @@ def read_pair(raw: Path, reference: Path, size: Size | None) -> tuple[Image, Ima
     They are stretched as `aucamp enhance` stretches what it is given, so that training sees and figures judge what
     users get.
     """
-    image, target = read_picture(raw, stretch=True), read_picture(reference, stretch=True)
+    image, target = (read_picture(path, stretch=True, upright=True) for path in (raw, reference))
     if image.shape != target.shape:
         ours, theirs = (f"{one.shape[1]}x{one.shape[0]}" for one in (image, target))
         raise ConfigError(f"{raw}: {ours}, but its reference {theirs} pixels; a pair must show the same pixels")

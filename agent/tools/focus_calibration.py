@@ -227,6 +227,18 @@ LEVEL_DEG = 3.0  # a lens that looks up or down by less sags by 0.3 lens positio
 GOOD_LEFT_OUT = 0.05  # share of the range: a distance that the others foretell worse is named in the verdict
 
 
+MOST_SHARE = 0.1  # of a range, as the standard deviation of the curve: beyond it a range is a guess
+
+
+def range_share(fit: FocusFit, rho: float) -> float:
+    """Standard deviation of the curve's range at a lens position, as a share of that range."""
+    travel = rho - fit.rho0
+    slope = np.array([1.0, 1.0 / travel, fit.b_m / travel**2])
+    a, b, c, d, e, f = fit.covariance
+    C = np.array([[a, b, c], [b, d, e], [c, e, f]])
+    return math.sqrt(max(float(slope @ C @ slope), 0.0)) / abs(fit.u_inf_m + fit.b_m / travel)
+
+
 class PaperGauge(NamedTuple):
     """The same curve as the paper prints it: h = f k rho / (k rho - f) + c, lengths in metres."""
 
@@ -242,6 +254,13 @@ def run(table: Path, out: Path | None, console: Console) -> FocusFit:
         fit, left_out = with_sag(fit_focus(rows), tilted), leave_one_out(rows)
     except CalibrationRefused as error:
         raise ConfigError(f"{table}: {error}") from None
+    known = [(row.u_m, range_share(fit, row.rho)) for row in rows]
+    worst_m, share = max(known, key=lambda one: one[1])
+    if not share <= MOST_SHARE:
+        raise ConfigError(
+            f"{table}: these peaks determine a range of {worst_m:.2f} m to {100 * share:.0f} % only, and "
+            f"{100 * MOST_SHARE:.0f} % is needed: measure at more distances, nearer ones among them"
+        )
     if out is not None:
         check_file(out)
     console.print(result_table(fit, left_out))
@@ -339,10 +358,12 @@ def result_table(fit: FocusFit, left_out: Sequence[LeftOut]) -> Table:
     table.add_column("value", justify="right")
     paper = paper_gauge(fit)
     sigma = [math.sqrt(max(fit.covariance[i], 0.0)) for i in (0, 3, 5)]
+    worst = max(range_share(fit, rho) for rho in (fit.lowest, fit.highest))
     for what, value in (
         ("u_inf, m", f"{fit.u_inf_m:.5g} ± {sigma[0]:.2g}"),
         ("b, m", f"{fit.b_m:.5g} ± {sigma[1]:.2g}"),
         ("rho0", f"{fit.rho0:.6g} ± {sigma[2]:.2g}"),
+        ("range by the curve, at most", f"± {100 * worst:.1f} %"),
         ("one peak, lens positions", f"± {fit.noise:.3g}"),
         (
             "sag looking straight up, lens positions",

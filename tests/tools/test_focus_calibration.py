@@ -383,6 +383,16 @@ def test_spreadsheets_of_all_countries_are_read(tmp_path: Path, encoding: str, m
     assert read_table(path) == wanted
 
 
+def test_peaks_that_do_not_determine_a_curve_are_refused(tmp_path: Path) -> None:
+    """An arc that is nearly a straight line, and peaks that scatter by a tenth of it."""
+    rng, path = np.random.default_rng(2), tmp_path / "table.csv"
+    far = [(u, 102 + 136 / (u + 0.001) + rng.normal(0.0, 12.0)) for u in np.linspace(0.35, 1.4, 7)]
+    path.write_text("\n".join(["u_mm,code", *(f"{1e3 * u:.0f},{rho:.2f}" for u, rho in far)]))
+    with pytest.raises(ConfigError, match=r"determine a range of 1\.40 m to \d+ % only, and 10 % is needed"):
+        run(path, tmp_path / "r1.toml", Console(quiet=True))
+    assert [file.name for file in tmp_path.iterdir()] == ["table.csv"]
+
+
 def test_a_name_of_two_lines_is_told_in_one(tmp_path: Path) -> None:
     path = tmp_path / "table.csv"
     path.write_text('u_mm,code,"co\nlour"\n100,2,red\n')
