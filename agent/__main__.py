@@ -7,6 +7,7 @@ before it was done, 130 by Ctrl-C.
 from __future__ import annotations
 
 import errno
+import re
 import signal
 import sys
 from typing import Annotated, Any
@@ -16,7 +17,7 @@ from typer.main import get_command
 
 from agent.cli import diving, experiments, ground, pictures, recordings
 from agent.core.config import ConfigError
-from agent.process.command import Failed
+from agent.process.command import Failed, meant
 from agent.process.launch import Leaving, exit_with_parent, leave
 from hw.camera.camera import CameraError
 
@@ -68,10 +69,17 @@ def command_line() -> Any:
     return line
 
 
+CHOICE = re.compile(r"'([^']+)' is not one of (.+)")  # typer's words for a choice that is none
+
+
 def usage_error(error: typer.TyperException) -> str:
     """One line for what typer found wrong; none where it has shown the help instead."""
     said = " ".join(error.format_message().split()).replace("Value error, ", "").rstrip(".")
     context = getattr(error, "ctx", None)
+    choice = CHOICE.search(said)
+    known = re.findall(r"'([^']+)'", choice[2]) if choice else ()
+    if "Did you mean" not in said and choice and (word := meant(choice[1], known)):
+        said += f"; did you mean '{word}'?"
     return f"aucamp: {said}{f'; see {context.command_path} --help' if context else ''}\n" if said else ""
 
 

@@ -31,10 +31,10 @@ from agent.core.step_io import Inputs, Sighting
 from replay.check.reexecute import STEP_BYTES, BlackBox, black_boxes, open_box, recordings
 from replay.files.channels import VISION, network_topic
 from replay.files.frames import MAX_PIXELS, Film, Frames, Picture, film, pixels
-from replay.files.info import info
+from replay.files.info import info, suspecting
 from replay.files.log import read
 from replay.files.mcap_file import parts
-from replay.files.mcap_walk import Channel, Message, Schema, Tear, records, suspecting
+from replay.files.mcap_walk import Channel, Message, Schema, Tear, records
 from replay.report.timeline import RobotTimeline, Run, open_run
 from replay.viewers.viewer_channels import sighting_row, telemetry_row
 

@@ -25,7 +25,7 @@ from agent.clock import machine
 from agent.clock.clock import Clock
 from agent.core import topics
 from agent.core.codec import Refusal, decode, encode
-from agent.core.config import ConfigError, Fleet, dump
+from agent.core.config import ConfigError, Fleet, dump, to_install
 from agent.core.messages import SCHEMA
 from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Sighting
@@ -309,7 +309,7 @@ def view(
     try:
         import foxglove  # the SDK, an extra; our own module of that name is replay.viewers.foxglove
     except ImportError:
-        raise ConfigError("the live view needs the extra `view`; in your clone: pip install -e '.[view]'") from None
+        raise ConfigError(f"the live view needs the extra `view`; {to_install('view')}") from None
     arrivals, rate, derive = Arrivals(clock.now_ns), RateNotes(clock), ViewerChannels(fleet)
     context = foxglove.Context()
     channels: dict[str, Any] = {}

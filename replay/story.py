@@ -12,7 +12,7 @@ import math
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
-from itertools import combinations
+from itertools import combinations, islice
 from pathlib import Path
 from typing import Any
 
@@ -24,11 +24,10 @@ from agent.core.robot_view import in_own_name
 from agent.core.status import fault_kind
 from agent.core.step_io import Outputs
 from replay.check.reexecute import STEP_BYTES
-from replay.files.channels import STEP_OUT, network_topic
-from replay.files.info import Info, as_json, describe, info
+from replay.files.channels import STEP_IN, STEP_OUT, network_topic
+from replay.files.info import Info, as_json, describe, info, suspecting
 from replay.files.log import read
 from replay.files.mcap_file import parts
-from replay.files.mcap_walk import suspecting
 
 MOST = 12  # losses or faults of one robot: more are counted, not told one by one
 
@@ -87,16 +86,19 @@ class RobotFacts:
         }
 
 
-def story_facts(path: Path) -> dict[str, Any] | None:
-    """The facts of one recording, all of its parts; None where it has no state in it."""
+def story_facts(path: Path, start_ns: int | None = None) -> dict[str, Any] | None:
+    """The facts of one recording, all of its parts; None where it has no state in it.
+
+    Times count from `start_ns`, when the run began (`began_ns`); None: when this recording did.
+    """
     robots: dict[tuple[str, str], RobotFacts] = {}
-    first_ns, last_ns = None, 0
+    first_ns, last_ns = start_ns if start_ns is not None else began_ns([path]), 0
     for state in _states(path):
         if first_ns is None:
             first_ns = state.sent_ns
         last_ns = max(last_ns, state.sent_ns)
         robots.setdefault((state.robot, state.target), RobotFacts()).show(state, (state.sent_ns - first_ns) * 1e-9)
-    if first_ns is None:
+    if first_ns is None or not robots:
         return None
     targets: dict[str, dict[str, Any]] = {}
     for (robot, target), facts in sorted(robots.items()):
@@ -104,6 +106,12 @@ def story_facts(path: Path) -> dict[str, Any] | None:
     for about in targets.values():
         about["apart_m"] = apart_m([facts["estimate_m"] for facts in about["robots"].values() if facts["estimate_m"]])
     return {"first_ns": first_ns, "lasts_s": (last_ns - first_ns) * 1e-9, "targets": targets}
+
+
+def began_ns(paths: Iterable[Path]) -> int | None:
+    """When a run began, as its report counts: the first step of any robot; None where no recording has one."""
+    steps = ((record.log_time_ns for record in read(path) if record.channel == STEP_IN.name) for path in paths)
+    return min((at_ns for each in steps for at_ns in islice(each, 1)), default=None)
 
 
 def _states(path: Path) -> Iterator[State]:
@@ -241,13 +249,15 @@ def info_all(paths: Iterable[Path], json_: bool, say: Callable[[str], None]) -> 
 
     A folder stands for the recordings in it. Raises ConfigError for one that has none.
     """
-    for path in _recordings(paths):
+    recordings = _recordings(paths)
+    boxes = [path for path in recordings if ".part" not in path.name]
+    for path in recordings:
         facts: dict[str, Any] | None = None
         for number, file in enumerate(parts(path)):
             with suspecting(file):
                 about = info(file)
                 if number == 0:
-                    facts = _facts(path, about)
+                    facts = _facts(path, about, boxes)
                 told = facts if number == 0 else None
                 say(_for_programs(file, about, told) if json_ else _for_people(file, about, told))
 
@@ -262,9 +272,22 @@ def _recordings(paths: Iterable[Path]) -> list[Path]:
     return found
 
 
-def _facts(path: Path, about: Info) -> dict[str, Any] | None:
-    """None of a file that is no recording of ours, or whose header cannot be believed: `describe` says so."""
-    return story_facts(path) if about.run.get("kind") in ("black box", "fleet") and not about.damage else None
+def _facts(path: Path, about: Info, together: Sequence[Path]) -> dict[str, Any] | None:
+    """None of a file that is no recording of ours, or whose header cannot be believed: `describe` says so. Recordings
+    of one folder are `together`, and count from one moment."""
+    if about.run.get("kind") not in ("black box", "fleet") or about.damage:
+        return None
+    beside = [other for other in together if other.parent == path.parent]
+    return story_facts(path, began_ns(other for other in beside if _is_sound(other)))
+
+
+def _is_sound(path: Path) -> bool:
+    """Whether its beginning can be read."""
+    try:
+        next(iter(read(path)), None)
+    except ConfigError:
+        return False
+    return True
 
 
 def _for_people(file: Path, about: Info, facts: dict[str, Any] | None) -> str:

@@ -21,8 +21,8 @@ from agent.core.step_io import Inputs, Outputs, Sighting
 from replay.check.reexecute import STEP_BYTES, BlackBox
 from replay.files.channels import STEP_IN, STEP_OUT, VISION
 from replay.files.frames import Frames, Picture, pixels
+from replay.files.info import suspecting
 from replay.files.log import read
-from replay.files.mcap_walk import suspecting
 from replay.viewers.viewer_channels import SweepAssembler, SweepFrame
 
 MOST_GAP_NS = 1_500_000_000  # between two notes of where a robot is; in a longer gap it may have gone anywhere

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Literal, NoReturn
 
 import typer
 
-from agent.core.config import ConfigError, write_whole
+from agent.core.config import ConfigError, to_install, write_whole
 from agent.core.verbs import VERBS
 from agent.process.command import FleetFile, Port, RobotName, complain, new_file, refuse_options, run_folder, terminal
 from agent.process.launch import until_signal
@@ -246,7 +246,7 @@ def page(
 
 SIMULATOR = "-35.363262,149.165237"  # where the simulator of ArduPilot stands, as those who know it know
 
-BRIDGE_TAKES = {"mavlink": ("--origin",), "ros2": ("--domain",), "keelson": ()}
+BRIDGE_TAKES = {"mavlink": ("--origin", "--first-system"), "ros2": ("--domain",), "keelson": ()}
 
 
 def as_place(text: str) -> tuple[float, float]:
@@ -268,7 +268,7 @@ def extra(name: str, package: str) -> Iterator[None]:
     except ModuleNotFoundError as missing:
         if missing.name is None or missing.name.partition(".")[0] != package:
             raise
-        raise ConfigError(f"this bridge needs the extra `{name}`; in your clone: pip install -e '.[{name}]'") from None
+        raise ConfigError(f"this bridge needs the extra `{name}`; {to_install(name)}") from None
 
 
 @app.command(no_args_is_help=True, epilog="Example: aucamp bridge mavlink fleet.toml --as ann")
@@ -288,6 +288,10 @@ def bridge(
         typer.Option(metavar="LAT,LON", help="mavlink: where the tank's corner is drawn on the map: degrees, made up."),
     ] = None,
     domain: Annotated[int | None, typer.Option(min=0, max=232, help="ros2: ROS_DOMAIN_ID; 0 if not given.")] = None,
+    first_system: Annotated[
+        int | None,
+        typer.Option(min=1, max=250, help="mavlink: number of the first robot, 1 if not given; one for each fleet."),
+    ] = None,
 ) -> None:
     """A running fleet for programs that speak another language, until Ctrl-C.
 
@@ -298,14 +302,16 @@ def bridge(
 
     A ground station may arm, disarm, hold and surface a robot, if --as is given; the others only look.
     """
-    refuse_options(f"bridge {kind}", {"--origin": origin, "--domain": domain}, BRIDGE_TAKES[kind])
+    refuse_options(
+        f"bridge {kind}", {"--origin": origin, "--domain": domain, "--first-system": first_system}, BRIDGE_TAKES[kind]
+    )
     place, robots = as_place(origin or SIMULATOR), load_fleet(fleet)
     with until_signal() as stop:
         if kind == "mavlink":
             with extra("mavlink", "pymavlink"):
                 from agent.ground.bridges.mavlink import Origin
                 from agent.ground.bridges.mavlink import run as run_mavlink
-            run_mavlink(robots, fleet, name, port or 14550, Origin(*place), stop, typer.echo)
+            run_mavlink(robots, fleet, name, port or 14550, Origin(*place), stop, typer.echo, first_system or 1)
             return
         from agent.ground.bridges import outward
 

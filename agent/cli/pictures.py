@@ -8,7 +8,7 @@ from typing import Annotated, Literal, get_args
 
 import typer
 
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, to_install
 from agent.process.command import refuse_options, terminal
 
 app = typer.Typer()
@@ -77,7 +77,7 @@ def tags(
 @app.command(epilog="Example: aucamp enhance photographs/ --out clear --side-by-side")
 def enhance(
     source: Annotated[str, typer.Argument(help="Image, folder, video, or a camera such as v4l2:/dev/video0.")] = "",
-    out: Annotated[Path, typer.Option(help="Folder to write to.")] = Path("enhanced"),
+    out: Annotated[Path, typer.Option(help="Folder to write to; of one picture also a NAME.png.")] = Path("enhanced"),
     side_by_side: Annotated[
         bool, typer.Option("--side-by-side", help="The picture before beside the one after.")
     ] = False,
@@ -126,7 +126,7 @@ def train(
         import safetensors  # noqa: F401
         import torch
     except ImportError as error:
-        raise ConfigError("training needs torch: in your clone: pip install -e '.[train]'") from error
+        raise ConfigError(f"training needs torch: {to_install('train')}") from error
     from agent.tools import train_enhance
 
     torch.set_flush_denormal(True)  # else a vanishing gain costs a hundred times its worth

@@ -241,8 +241,10 @@ def reconstruct_command(
     )
     console = terminal()
     result = with_bar(console, "reading", lambda show: run(asked, folder, show))
-    for reason, sweeps in result.passed_over.items():
-        complain(f"{sweeps} sweeps passed over: {reason}")
+    for reason, many in result.passed_over.items():
+        complain(f"{many} passed over: {reason}")
+    for note in result.notes:
+        complain(note)
     f = result.figures
     console.print(
         f"{f['triangles']} triangles, {f['area_m2']:.2f} m2, from {f['views']} keyframes; standard deviation "

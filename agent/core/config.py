@@ -17,7 +17,7 @@ import msgspec
 import tomli_w
 from msgspec import Meta
 
-from agent.core.codec import MOST_DEEP, printable, too_deep
+from agent.core.codec import MOST_DEEP, as_text, printable, too_deep
 
 # --- fleet file ---
 
@@ -370,9 +370,9 @@ def read_file(path: Path, most_bytes: int = MOST_BYTES, give: str = "give anothe
 
 
 def read_text(path: Path, give: str) -> str:
-    """All of a small file in UTF-8. Raises ConfigError."""
+    """All of a small file, as `as_text`. Raises ConfigError."""
     try:
-        return read_file(path, give=give).decode()
+        return as_text(read_file(path, give=give))
     except UnicodeDecodeError:
         raise ConfigError(f"{path}: not a text file; {give}") from None
 
@@ -386,6 +386,12 @@ def inside(folder: Path, name: str) -> Path:
     if path.is_absolute() or ".." in path.parts:
         raise ConfigError(f"{folder}: names the file '{name}', which is outside of it; put that file into the folder")
     return folder / path
+
+
+def to_install(extra: str) -> str:
+    """What to type for an extra: in a clone, or of an installed package."""
+    is_clone = (Path(__file__).parents[2] / "pyproject.toml").exists()
+    return f"in your clone: pip install -e '.[{extra}]'" if is_clone else f"pip install 'aucamp[{extra}]'"
 
 
 @contextmanager

@@ -227,7 +227,7 @@ def open_page(fleet: Fleet, path: Path, processes: Crew) -> str:
 
 # --- the dive ---
 
-CALIBRATE_S = 300.0  # of the wall; a bench needs about ten seconds, and minutes beside other work
+CALIBRATE_S = 300.0  # of a processor, or of standing still; a bench needs about ten seconds, and as many on a busy one
 READY_S = 300.0  # of the wall; the first start compiles the twin's kernels
 SETTLE_ITERATIONS = 30  # after the last robot's first view
 SETTLE_WINDOW = 10

@@ -28,7 +28,7 @@ from agent.process.keys import VARIABLE
 from replay.report.creature_track import followed_cells
 from replay.report.page import cell, percent
 
-WRONG = "trust, faults"  # heads the column of what is wrong
+WRONG = "trust, remarks"  # heads the column of what is wrong
 COLOURS = {"consistent": "green", "suspect": "yellow", "contradicted": "red", "missing": "red"}
 MOST_CAUSES = 3  # below the table
 
@@ -249,8 +249,8 @@ def survey_table(histories: Histories, survey: SurveyWatch, title: str) -> Table
     map: whether it is that of most; is: x and y; looks: where the optical axis meets the floor.
     """
     table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=(0, 1, 0, 0), show_edge=False)
-    for column in ("robot", "knows", "made", "holds", "map", "is cm", "± mm", "looks at cm", "hears", "faults"):
-        table.add_column(column, no_wrap=column not in ("hears", "faults"))
+    for column in ("robot", "knows", "made", "holds", "map", "is cm", "± mm", "looks at cm", "hears", "remarks"):
+        table.add_column(column, no_wrap=column not in ("hears", "remarks"))
     claims, usual = survey.newest(), survey.usual_digest()
     for name in survey.robots:
         table.add_row(name, *claimed(claims.get(name), usual), *shown(newest_of(histories, name), claims.get(name)))

@@ -31,6 +31,9 @@ from replay.report.creature_track import SETTLES_NS, CreatureTrack, Held, creatu
 # How far a survey has come, by what robots tell each other of it.
 
 
+UNRECORDED = "not recording"  # agent.process.agent_process: how the fault begins
+
+
 class SurveyWatch:
     """The newest claim of each robot; of a fleet without [coverage] there is none."""
 
@@ -351,6 +354,7 @@ def summarize(
         why += [f"{target}: {reason}" if len(histories) > 1 else reason for reason in reasons(rows)]
     if survey is not None:
         why = list(survey.reasons())
+    why += list(unrecorded(histories))
     for target, about in targets.items():
         for name, row in about["agents"].items():
             newest = histories[target][name].newest if name in histories[target] else None
@@ -370,6 +374,13 @@ def summarize(
         "verdict": "fail" if why else "pass",
         "reasons": why,
     }
+
+
+def unrecorded(histories: Histories) -> Iterator[str]:
+    """What robots said last of recordings that ended or stalled: without them nobody can look into the dive."""
+    said = [(name, of[name].newest) for of in histories.values() for name in of]
+    found = [f"{name}: {fault}" for name, newest in said for fault in (newest.faults if newest else ())]
+    yield from dict.fromkeys(text for text in found if f": {UNRECORDED}" in text)
 
 
 def doubts(summary: Mapping[str, Any]) -> list[str]:

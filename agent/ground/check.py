@@ -6,14 +6,16 @@ from __future__ import annotations
 
 import grp
 import os
+import stat
 from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from agent.core.config import ConfigError, Fleet, read_toml
+from agent.core.config import ConfigError, Fleet, read_text, read_toml
 from agent.ground.check_files import (
     Finding,
+    Level,
     address_finding,
     calibration_finding,
     certificate_findings,
@@ -27,10 +29,12 @@ from agent.ground.check_files import (
     target_findings,
     tried,
     twin_findings,
+    unit_findings,
     watchers_here,
 )
 from agent.robot.arbiter import broken_extend_rules
 from agent.robot.fleet_reader import broken_rules, load_fleet, load_robot, read_fleet, two_worlds
+from hw.camera.camera import CameraError
 from hw.camera.open import known_scheme, open_camera
 from hw.camera.v4l2_node import find
 from hw.twin.twin_folder import twin_dir
@@ -50,6 +54,40 @@ def device_findings(fleet: Fleet, name: str) -> Iterator[Finding]:
     if not robot.serial.startswith("twin:"):
         yield tried(name, lambda: serial_port(Path(robot.serial)))
     yield tried(name, lambda: camera(fleet, name))
+
+
+def shared_findings(fleet: Fleet, names: Sequence[str]) -> Iterator[Finding]:
+    """Devices that two robots of this computer have by two names: what a name leads to counts, not the name."""
+    owner: dict[tuple[int, ...], tuple[str, str]] = {}
+    for name in names:
+        robot = fleet.robot[name]
+        for key, text, place in (
+            ("serial", robot.serial, robot.serial),
+            ("camera", robot.camera, robot.camera.partition(":")[2]),
+        ):
+            thing = None if text.startswith("twin:") else identity(text, place)
+            if thing is None:
+                continue
+            if thing in owner and owner[thing][1] != text:
+                other, said = owner[thing]
+                # Recorded pictures may be looked at by many.
+                level: Level = "warning" if text.startswith(("video:", "stack:")) else "wrong"
+                why = f"{key} '{text}' is also that of '{other}', which calls it '{said}'; give each robot its own"
+                yield Finding(level, name, why)
+            owner.setdefault(thing, (name, text))
+
+
+def identity(text: str, place: str) -> tuple[int, ...] | None:
+    """What the system knows a device or a file by, whatever leads to it; None: it is not there."""
+    try:
+        if text.startswith("v4l2:") and "/" not in place:
+            device, _ = find(place)
+            place = str(device.path)
+            device.close()
+        status = Path(place).stat()
+    except (OSError, CameraError):
+        return None
+    return (status.st_rdev,) if stat.S_ISCHR(status.st_mode) else (status.st_dev, status.st_ino)
 
 
 def serial_port(path: Path) -> str:
@@ -140,6 +178,7 @@ def check(path: Path, robot: str | None, folder: Path) -> Checked:
     for name in fleet.robot if robot is None else [robot]:
         found.append(address_finding(fleet, name, path, asked=robot is not None))
         found += robot_findings(fleet, name, path) if name in here else ()
+    found += shared_findings(fleet, here if robot is None else [])
     for name in watchers_here(fleet, path) if robot is None else ():
         found += certificate_findings(fleet, name, path)
     return Checked((*found, *computer_findings(here, folder)), len(here))
@@ -160,7 +199,7 @@ def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
     """What concerns all robots."""
     robots, targets = ", ".join(fleet.robot), ", ".join(fleet.target)
     yield Finding("ok", "file", f"{path}: fleet '{fleet.fleet}' of {robots}; they look for {targets}")
-    marks = [mark for mark in MARKS if mark in path.read_text(encoding="utf-8")]
+    marks = [mark for mark in MARKS if mark in read_text(path, "correct it")]
     if marks:
         text = f"{path}: still marked {' and '.join(marks)}; put in what is true of your tank, and take the marks out"
         yield Finding("warning", "file", text)
@@ -170,6 +209,7 @@ def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
     yield from loopback_findings(fleet)
     yield from twin_findings(fleet, path)
     yield from target_findings(fleet)
+    yield from unit_findings(fleet)
     yield from enhancement_findings(fleet)
     if fleet.access.keys is None:
         yield Finding("ok", "fleet", "signs nothing: [access] names no keys")

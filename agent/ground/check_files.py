@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import errno
 import ipaddress
+import math
 import os
 import resource
 import shutil
@@ -14,12 +15,13 @@ from datetime import UTC, datetime
 from functools import partial
 from importlib.util import find_spec
 from pathlib import Path
+from shlex import quote
 from typing import Literal, NamedTuple
 
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
 
-from agent.core.config import ConfigError, Fleet, Target
+from agent.core.config import ConfigError, Fleet, Target, to_install
 from agent.perception.detection.detectors import colours_too_alike, creature_hues, sought, target_picture
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import check_box, load_box_tracker, model_files
@@ -87,7 +89,8 @@ def address_finding(fleet: Fleet, name: str, path: Path, asked: bool) -> Finding
         text = f"{listen} is no address of this computer; check {name} on its own, or write one of this computer's"
         return Finding("wrong", name, text)
     if not here:
-        return Finding("ok", name, f"{listen} is another computer's; see there: aucamp check {path} --robot {name}")
+        there = f"aucamp check {quote(str(path))} --robot {name}"
+        return Finding("ok", name, f"{listen} is another computer's; see there: {there}")
     return port_finding(name, listen)
 
 
@@ -191,6 +194,34 @@ def target_findings(fleet: Fleet) -> Iterator[Finding]:
         yield from (Finding("warning", "fleet", line) for line in colours_too_alike(fleet))
 
 
+# What tanks, targets and tags have; beyond it a number is rarely meant so.
+LONGEST_M, SHORTEST_M = 60.0, 0.2
+RADIUS_M, TAG_M = (0.005, 0.5), (0.01, 1.0)
+
+
+def unit_findings(fleet: Fleet) -> Iterator[Finding]:
+    """Numbers that are in another unit than their names say, probably."""
+    size_m = fleet.tank.size_m
+    text = " x ".join(f"{length:g}" for length in size_m)
+    if max(size_m) > LONGEST_M:
+        unit = "mm" if max(size_m) >= 1e3 else "cm"
+        yield Finding("warning", "fleet", f"tank.size_m: {text} m is no tank; are they {unit}? Write metres")
+    elif max(size_m) < SHORTEST_M:
+        yield Finding("warning", "fleet", f"tank.size_m: {text} m is no tank; write metres")
+    sizes = {f"target.{name}.radius_m": (one.radius_m, RADIUS_M) for name, one in fleet.target.items() if one.radius_m}
+    if fleet.landmarks is not None:
+        sizes["landmarks.size_m"] = fleet.landmarks.size_m, TAG_M
+    for key, (length_m, (least, most)) in sizes.items():
+        if not least <= length_m <= most:
+            yield Finding("warning", "fleet", f"{key}: {length_m:g} m; {least:g} to {most:g} are usual: write metres")
+    yaws = {name: robot.pose.yaw_deg for name, robot in fleet.robot.items() if robot.pose is not None}
+    if all(abs(yaw) <= math.tau for yaw in yaws.values()):
+        odd = next((name for name, yaw in yaws.items() if yaw != round(yaw)), None)
+        if odd is not None:
+            text = f"robot.{odd}.pose.yaw_deg: {yaws[odd]:g} degrees; is it in radians? That would be"
+            yield Finding("warning", "fleet", f"{text} {math.degrees(yaws[odd]):.1f} degrees: write degrees")
+
+
 def ball_sample(name: str, target: Target, size: tuple[int, int]) -> str:
     """Raises ConfigError, as the agent does at its start."""
     sought(name, target, size)
@@ -238,7 +269,7 @@ def enhancement_findings(fleet: Fleet) -> Iterator[Finding]:
         yield Finding("ok", "fleet", "[camera] enhance: the network can be used")
     else:
         text = "[camera] enhance: torch is not there, so colours alone are mended"
-        yield Finding("warning", "fleet", f"{text}; in your clone: pip install -e '.[enhance]'")
+        yield Finding("warning", "fleet", f"{text}; {to_install('enhance')}")
 
 
 def disk_finding(folder: Path) -> Finding:

@@ -24,8 +24,9 @@ from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Answer, Arg, Order, State
 from agent.core.robot_view import in_own_name
 from agent.core.topics import STATE
-from agent.core.verbs import CLOCK, URGENT, arguments, prepare_all
+from agent.core.verbs import CLOCK, URGENT, VERBS, arguments, prepare_all
 from agent.process.certificates import credentials
+from agent.process.command import meant
 from agent.robot.fleet_reader import load_robot
 from agent.robot.operator import why_closed
 from hw.firmware.parameters import NAMES, TABLE
@@ -235,6 +236,12 @@ def typed(fleet: Fleet, fleet_path: Path, verb: str, words: Sequence[str]) -> Ty
     for name in names:
         if name != ALL:
             load_robot(fleet, name, fleet_path)
+    fields = VERBS[verb].__struct_fields__ if verb in VERBS else ()
+    for name in given.keys() - set(fields):
+        takes = f"it takes {', '.join(fields)}" if fields else "it takes none"
+        alike = next((field for field in fields if field.partition("_")[0] == name), None) or meant(name, fields)
+        hint = f"did you mean {alike}? " if alike else ""
+        raise ConfigError(f"{verb}: there is no argument '{printable(name)[:40]}'; {hint}{takes}")
     try:
         what = arguments(verb, given, strict=False)
     except Refusal as refusal:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import math
 import re
+import shlex
 from collections.abc import Callable, Iterable, Sequence
 from functools import partial
 from importlib import resources
@@ -58,9 +59,10 @@ def write_fleet(path: Path, count: int, twin: bool) -> list[str]:
     write_whole(path, fleet_text(path, count, twin))
     load_fleet(path)  # whoever wrote it, it is read as any other
     robots = f"{count} robot{'s' if count > 1 else ''}"
-    next_one = f"aucamp demo --fleet {path}" if twin else f"aucamp calibrate run {path} --robot r1"
+    typed = shlex.quote(str(path))
+    next_one = f"aucamp demo --fleet {typed}" if twin else f"aucamp calibrate run {typed} --robot r1"
     what = f"{robots} in the twin" if twin else f"{robots}; put in what is marked MEASURE and SURVEY"
-    return [f"{path}: {what}. Next:", f"  aucamp check {path}", f"  {next_one}"]
+    return [f"{path}: {what}. Next:", f"  aucamp check {typed}", f"  {next_one}"]
 
 
 def fleet_text(path: Path, count: int, twin: bool) -> str:

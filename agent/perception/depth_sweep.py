@@ -71,6 +71,8 @@ class DepthSweep(NamedTuple):
     reference: int  # the position whose picture is largest; blocks are squares there, and smaller in the others
     box_clarity: Array | None = None  # (n,) in the middle of the box, drawn in the largest picture
     finer: Finer | None = None  # what edges in depth are found with; None: blocks of so few pixels are not cut
+    corner_px: tuple[int, int] = (0, 0)  # of what was measured, in the first picture
+    moved_px: float = 0.0  # that the picture moved during the sweep, which was undone
 
 
 class DepthMap(NamedTuple):
@@ -82,6 +84,8 @@ class DepthMap(NamedTuple):
     sharp: Image
     growth: float
     box_range: BoxRange | NoPeak | None = None  # of what is in the box, if there is one
+    corner_px: tuple[int, int] = (0, 0)  # of the map, in the first picture
+    moved_px: float = 0.0  # that the picture moved during the sweep, which was undone
 
     @property
     def along(self) -> int:
@@ -116,7 +120,7 @@ def sweep(
 
     growth: of the picture from the first position to the last, 0.03 for three percent; None measures it, and takes 0
     where the frames do not tell. Raises ConfigError for a block, a growth or a box that cannot be,
-    CameraError for a source without focus.
+    CameraError for a source without focus, and for frames that cannot be believed.
     """
     width, height = camera.size
     if not MIN_BLOCK_PX <= block <= min(width, height):
@@ -135,10 +139,100 @@ def sweep(
         reached.append(float(camera.set_focus(lens_position)))
         images.append(camera.read(settle_s=SETTLE_S).image)
         progress(done, len(wanted))
-    lens_positions = np.array(camera.positions if isinstance(camera, StackCamera) else reached)
+    names: Sequence[str] = [f"lens position {k:g}" for k in reached]
+    if isinstance(camera, StackCamera):
+        reached, names = list(camera.positions), camera.names
+    lens_positions = np.array(reached)
+    check_frames(images, names)
     if growth is None:
         growth = measure_growth(images) or 0.0  # unknown: as good as any
-    return clarity_of(images, lens_positions, block, growth, box, split=True)
+    steady = steadied(images, growth)
+    if box is not None:
+        box = box._replace(x=box.x - steady.corner_px[0], y=box.y - steady.corner_px[1])
+    height, width = steady.images[0].shape[:2]
+    if block > min(width, height):
+        raise CameraError(f"the picture moved by {steady.moved_px:.0f} px during the sweep; fix the camera")
+    if box is not None:
+        check_box(box, (width, height))
+    taken = clarity_of(steady.images, lens_positions, block, growth, box, split=True)
+    return taken._replace(corner_px=steady.corner_px, moved_px=steady.moved_px)
+
+
+# --- what is wrong with the frames of a sweep ---
+
+JUMP = 1.15  # of the mean brightness from one frame to the next; blur and breathing leave it as it is
+STILL_PX = 2.0  # of a picture from end to end: less is no movement
+STEP_SHARE = 0.1  # of the picture's width from one frame to the next: more is another picture
+SURE = 0.2  # response of phase correlation from which on a shift is one
+
+
+def check_frames(images: Sequence[Image], names: Sequence[str]) -> None:
+    """Raises CameraError, by the names of the frames, for the same picture twice and for brightness that jumps: of
+    either the peaks of clarity tell nothing. Frames of one grey alone are alike by right."""
+    kept = [image.tobytes() if np.ptp(image) else str(k).encode() for k, image in enumerate(images)]
+    same = [k for k in range(1, len(kept)) if kept[k] == kept[k - 1]]
+    if same:
+        end = next((k for k in range(same[0], len(kept)) if k + 1 not in same), same[0])
+        which = f"{names[same[0]]} to {names[end]} are" if end > same[0] else f"{names[end]} is"
+        raise CameraError(
+            f"{which} the same picture as {names[same[0] - 1]}: the camera hung, or a file was copied; "
+            "take the sweep again, or their rows out"
+        )
+    first = {data: k for k, data in reversed(list(enumerate(kept)))}
+    for k, data in enumerate(kept):
+        if first[data] != k:
+            raise CameraError(f"{names[first[data]]} and {names[k]} are the same picture; take one of them out")
+    light = [float(luminance(image).mean()) + 1.0 for image in images]
+    for k in range(1, len(light)):
+        ratio = light[k] / light[k - 1]
+        if not 1.0 / JUMP < ratio < JUMP:
+            raise CameraError(
+                f"brightness jumps at {names[k]}, to {ratio:.2f} times that of {names[k - 1]}; "
+                "set exposure and gain by hand, and take the sweep again"
+            )
+
+
+class Steadied(NamedTuple):
+    """The part that all frames show, cut out of each where it lies in it."""
+
+    images: list[Image]
+    corner_px: tuple[int, int]  # of it in the first frame
+    moved_px: float  # from end to end; 0: they stood still
+
+
+def steadied(images: Sequence[Image], growth: float) -> Steadied:
+    """Frames on each other. Nothing is resampled, which would change clarity: shifts are whole pixels.
+
+    Where texture lies on one side only, growth looks like a shift; what growth explains is left alone. Raises
+    CameraError for frames that are not of one view.
+    """
+    height, width = images[0].shape[:2]
+    window = cv2.createHanningWindow((width, height), cv2.CV_32F)
+    at, before = [np.zeros(2)], luminance(images[0]).astype(np.float32)
+    for image in images[1:]:
+        grey = luminance(image).astype(np.float32)
+        shift, response = cv2.phaseCorrelate(before, grey, window)
+        at.append(at[-1] + (np.array(shift) if response > SURE else 0.0))
+        if np.abs(at[-1] - at[-2]).max() > STEP_SHARE * width:
+            raise CameraError(
+                f"the picture moved by {np.abs(at[-1] - at[-2]).max():.0f} px from one frame to the next; "
+                "fix the camera, and take the sweep again"
+            )
+        before = grey
+    places = np.array(at)
+    moved_px = float(np.hypot(*np.ptp(places, axis=0)))
+    if moved_px <= STILL_PX + 0.5 * abs(growth) * max(width, height):
+        return Steadied(list(images), (0, 0), 0.0)
+    whole = np.rint(places).astype(int)
+    left, top = (-whole.min(axis=0)).tolist()
+    wide, high = (np.array([width, height]) - np.ptp(whole, axis=0)).tolist()
+    if min(wide, high) < MIN_BLOCK_PX:
+        raise CameraError(f"the picture moved by {moved_px:.0f} px during the sweep; fix the camera")
+    cut = [
+        image[top + y : top + y + high, left + x : left + x + wide]
+        for image, (x, y) in zip(images, whole.tolist(), strict=True)
+    ]
+    return Steadied(cut, (left, top), moved_px)
 
 
 def clarity_of(
@@ -225,7 +319,7 @@ def measure(
     blocks = blocks if method == "matched" else blocks.by(method, x, taken.clarity)
     if focus is not None:
         blocks, parts = blocks.ranged(focus), None if parts is None else parts.ranged(focus)
-    return DepthMap(block, blocks, parts, taken.sharp, taken.growth)
+    return DepthMap(block, blocks, parts, taken.sharp, taken.growth, corner_px=taken.corner_px, moved_px=taken.moved_px)
 
 
 # --- one picture that is sharp everywhere, for the eye alone ---

@@ -350,7 +350,9 @@ def meeting_points(lines: Array) -> Array | None:
 # --- tags of a frame ---
 
 WINDOW_PX = 21  # of the adaptive threshold: one does what OpenCV's three do, in a quarter of the time
-LEAST_PERIMETER = 0.1  # of the picture's longer side: 16 px a side in 640
+LEAST_PX = 16  # of a tag's side, in pictures of any size
+SMALL_PX = 640  # of the longer side; in smaller pictures tags may be smaller by as much
+LARGE_PX = 1600  # of the longer side: from here on tags are looked for in a picture of half the size as well, ...
 GRAZING = 0.45  # sine between neighbouring edges: beyond a view of about 75 degrees corners are off by pixels
 MOST = 64  # tags in a frame's message: the largest
 GREEN = 1  # where most of the light under water is, of which sensors have the most pixels, and no colour fringes
@@ -391,16 +393,35 @@ def all_tags(image: Image, camera: CameraFit) -> list[Found]:
     A tag in a mirror is none: read backwards, no code is within 3 bits of another, and no more are corrected.
     """
     plane = green(image)
-    corners, ids, _ = _detector().detectMarkers(plane)
-    if ids is None:
-        return []
-    light, numbers = light_of_bytes(camera.gamma), [int(number) for number in ids.ravel()]
-    found = []
-    for number, corner in sorted(zip(numbers, corners, strict=True), key=lambda one: one[0]):
-        rough_px = np.roll(corner.reshape(4, 2).astype(np.float64), -_first_corner(), axis=0)
+    rough = _rough(plane)
+    light, numbers, found = light_of_bytes(camera.gamma), [number for number, _ in rough], []
+    for number, corner in sorted(rough, key=lambda one: one[0]):
+        rough_px = np.roll(corner, -_first_corner(), axis=0)
         one = _found(plane, light, number, rough_px, camera)
         if one is not None:
             found.append(one._replace(alone=numbers.count(number) == 1))
+    return found
+
+
+def _rough(plane: Plane) -> list[tuple[int, Array]]:
+    """Ids and corners (4, 2) as OpenCV has them.
+
+    A large tag's edges are too soft for the threshold's window where the picture is large: such are found in the
+    picture made smaller, whose work is a third of the picture's own. What is found in both is the finer one's.
+    """
+    longer = max(plane.shape)
+    corners, ids, _ = _detector(longer).detectMarkers(plane)
+    each = [] if ids is None else zip(ids.ravel().tolist(), corners, strict=True)
+    found = [(int(number), corner.reshape(4, 2).astype(np.float64)) for number, corner in each]
+    if longer < LARGE_PX:
+        return found
+    height, width = (length // 2 for length in plane.shape)
+    small = cv2.resize(plane[: 2 * height, : 2 * width], (width, height), interpolation=cv2.INTER_AREA)
+    for number, coarse in _rough(np.asarray(small, np.uint8)):
+        corner = 2.0 * coarse + 0.5
+        middle, side = corner.mean(axis=0), np.hypot(*(corner[1] - corner[0]))
+        if all(number != other or np.hypot(*(middle - place.mean(axis=0))) > side for other, place in found):
+            found.append((number, corner))
     return found
 
 
@@ -450,11 +471,12 @@ def _grazing(corners: Array) -> bool:
     return bool(np.abs(cross(along, np.roll(along, 1, axis=0))).min() < GRAZING)
 
 
-@lru_cache(maxsize=1)
-def _detector() -> cv2.aruco.ArucoDetector:
+@lru_cache(maxsize=8)
+def _detector(longer_px: int) -> cv2.aruco.ArucoDetector:
+    """For pictures of this longer side."""
     settings = cv2.aruco.DetectorParameters()
     settings.adaptiveThreshWinSizeMin = settings.adaptiveThreshWinSizeMax = WINDOW_PX
-    settings.minMarkerPerimeterRate = LEAST_PERIMETER
+    settings.minMarkerPerimeterRate = 4 * LEAST_PX / max(longer_px, SMALL_PX)
     return cv2.aruco.ArucoDetector(cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11), settings)
 
 
@@ -469,7 +491,7 @@ def _first_corner() -> int:
     drawn: NDArray[np.uint8] = np.kron(np.pad(np.pad(bits, 1), 1, constant_values=1), np.full((16, 16), 255)).astype(
         np.uint8
     )
-    corners, ids, _ = _detector().detectMarkers(drawn)
+    corners, ids, _ = _detector(SMALL_PX).detectMarkers(drawn)
     if ids is None or ids.ravel().tolist() != [0]:
         raise RuntimeError("this OpenCV does not read the published tag 36h11 of id 0")
     return int(corners[0].reshape(4, 2).sum(axis=1).argmin())

@@ -13,6 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from datetime import datetime
 from pathlib import Path
+from shlex import quote
 from threading import Condition, Event, Thread
 from types import TracebackType
 from typing import NamedTuple, Protocol, Self, TypeVar
@@ -468,7 +469,8 @@ def own_calibration(fleet: Fleet, name: str, fleet_path: Path) -> Calibration:
     """The calibration of a robot's own camera. Raises ConfigError if there is none, or if it is of another camera."""
     path = fleet_path.parent / fleet.robot[name].calibration
     if not path.exists():
-        raise ConfigError(f"{path}: no such file; make it with: aucamp calibrate run {fleet_path} --robot {name}")
+        remedy = f"aucamp calibrate run {quote(str(fleet_path))} --robot {name}"
+        raise ConfigError(f"{path}: no such file; make it with: {remedy}")
     calibration = load_calibration(path)
     if calibration.robot != name:
         raise ConfigError(f"{path}: key 'robot': made for '{calibration.robot}', not '{name}'; take that robot's own")

@@ -13,6 +13,7 @@ import stat
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from shlex import quote
 from typing import NamedTuple
 
 from cryptography import x509
@@ -265,7 +266,7 @@ def credentials(fleet: Fleet, name: str, fleet_path: Path) -> Path | None:
     if name not in parties(fleet):
         raise ConfigError(
             f"{fleet_path}: key 'access.observers': has no '{name}'; add it, and make its certificate with: "
-            f"aucamp keys {fleet_path} --out DIR --only {name}"
+            f"aucamp keys {quote(str(fleet_path))} --out DIR --only {name}"
         )
     if not certificate_file(folder, AUTHORITY).exists():
         raise ConfigError(f"{certificate_file(folder, AUTHORITY)}: no such file; copy it from where the keys were made")

@@ -6,12 +6,13 @@ Nothing here is heavy: `aucamp --help` loads it.
 from __future__ import annotations
 
 import contextlib
+import difflib
 import itertools
 import math
 import shutil
 import sys
 import tempfile
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
@@ -83,6 +84,11 @@ def plain_console(stderr: bool = False) -> Console:
     stream = sys.stderr if stderr else sys.stdout
     width = None if stream.isatty() else PIPE_COLUMNS
     return Console(stderr=stderr, soft_wrap=True, width=width, markup=False, emoji=False)
+
+
+def meant(word: str, known: Iterable[str]) -> str | None:
+    """Which of the words that are known was meant, probably."""
+    return next(iter(difflib.get_close_matches(word, list(known), 1, 0.6)), None)
 
 
 # --- exit code 1 ---

@@ -12,6 +12,7 @@ import stat
 from collections.abc import Callable, Collection, Mapping, Sequence
 from functools import lru_cache
 from pathlib import Path
+from shlex import quote
 from typing import Any, NamedTuple, Protocol, TypeVar
 
 from cryptography.exceptions import UnsupportedAlgorithm
@@ -329,7 +330,7 @@ def robot_keys(fleet: Fleet, robot: str, fleet_path: Path) -> RobotKeys:
     if not path.exists():
         raise ConfigError(
             f"{path}: no such file; copy it from where the keys were made, or make it with: "
-            f"aucamp keys {fleet_path} --out {folder} --only {robot}"
+            f"aucamp keys {quote(str(fleet_path))} --out {quote(str(folder))} --only {robot}"
         )
     try:
         private = read_private(path)
@@ -352,4 +353,8 @@ def keys_folder(fleet: Fleet, fleet_path: Path) -> Path | None:
     if fleet.access.keys is None:
         return None
     here = os.environ.get(VARIABLE)
-    return Path(here) if here else fleet_path.parent / fleet.access.keys
+    folder = Path(here) if here else fleet_path.parent / fleet.access.keys
+    if not folder.exists() and fleet.twin.dir is not None:  # a demo that runs has its keys beside its twin
+        beside = Path(fleet.twin.dir) / fleet.access.keys
+        return beside if beside.is_dir() else folder
+    return folder

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 
 from agent.clock import machine
-from agent.core.config import ConfigError, write_whole
+from agent.core.config import ConfigError, to_install, write_whole
 from agent.process.command import Failed, Progress, Show
 from agent.reconstruction import surfels
 from agent.reconstruction.export import Kind, export
@@ -23,7 +23,7 @@ from agent.reconstruction.mesh import Mesh
 from agent.reconstruction.plane_sweep import Range, neighbours, plane_sweep
 from agent.reconstruction.refine_poses import refine
 from agent.reconstruction.report import write_report
-from agent.reconstruction.sources import recorded_views, transforms_views
+from agent.reconstruction.sources import Posed, recorded_views, transforms_views
 from agent.reconstruction.views import Floats, View, stacked
 
 # --- the command ---
@@ -49,7 +49,8 @@ class Result(NamedTuple):
     built: Built
     held: list[View]  # pictures that nothing was made of
     files: list[Path]
-    passed_over: dict[str, int]  # sweeps that gave no view, by reason
+    passed_over: dict[str, int]  # sweeps and pictures that gave no view, by reason
+    notes: list[str]  # what a person should know of the pictures
     figures: dict[str, Any]  # of result.json
     model: ImageModel
 
@@ -60,8 +61,10 @@ def run(settings: Settings, out: Path, show: Show) -> Result:
     Raises ConfigError for input that is none or damaged, Failed where nothing can be made of it.
     """
     if settings.transforms is not None:
-        built, held, passed_over = _from_pictures(settings, settings.transforms, show)
+        built, held, posed = _from_pictures(settings, settings.transforms, show)
+        passed_over, notes = posed.passed_over, posed.notes
     else:
+        notes = []
         built, held, passed_over = _from_recordings(settings, show)
     files = [export(kind, built.views, built.mesh, settings.cell_m, out) for kind in settings.exports]
     figures = figures_of(built, held)
@@ -77,7 +80,7 @@ def run(settings: Settings, out: Path, show: Show) -> Result:
     files += write_report(built, held, placed, figures, out, settings.video, show)
     path = out / RESULT
     write_whole(path, json.dumps(figures, indent=1) + "\n")
-    return Result(built, held, [*files, path], passed_over, figures, model)
+    return Result(built, held, [*files, path], passed_over, notes, figures, model)
 
 
 def _from_recordings(settings: Settings, show: Show) -> tuple[Built, list[View], dict[str, int]]:
@@ -91,15 +94,16 @@ def _from_recordings(settings: Settings, show: Show) -> tuple[Built, list[View],
     return _built(used, settings, settings.stereo, show), held, passed_over
 
 
-def _from_pictures(settings: Settings, folder: Path, show: Show) -> tuple[Built, list[View], dict[str, int]]:
+def _from_pictures(settings: Settings, folder: Path, show: Show) -> tuple[Built, list[View], Posed]:
     """Pictures that others took have poses alone; work is done at the size of a tank, and results are at their own."""
-    views = transforms_views(folder, show)
+    posed = transforms_views(folder, show)
+    views = posed.views
     by = scale_of(views)
     used, held = held_back(scaled(views, by))
     found = with_depths(used, lambda done, total: show(done, total, "looking for depths"))
     built = _built(found, settings, True, show)
     back = 1.0 / by
-    return Built(scaled(built.views, back), scaled_mesh(built.mesh, back), built.swept), scaled(held, back), {}
+    return Built(scaled(built.views, back), scaled_mesh(built.mesh, back), built.swept), scaled(held, back), posed
 
 
 def _built(views: Sequence[View], settings: Settings, stereo: bool, show: Show) -> Built:
@@ -118,7 +122,7 @@ def image_model(kind: ModelKind, views: Sequence[View], mesh: Mesh, cell_m: floa
     if kind == "surfels":
         return surfels.learnt(views, mesh, cell_m, progress)
     if importlib.util.find_spec("torch") is None:
-        raise ConfigError("a field needs torch: pip install 'aucamp[reconstruct]', or leave out --model")
+        raise ConfigError(f"a field needs torch: {to_install('reconstruct')}, or leave out --model")
     from agent.reconstruction import field  # torch takes seconds to import, and may be absent
 
     return field.learnt(views, field.FieldSettings(), progress, machine.monotonic_s)

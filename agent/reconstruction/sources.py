@@ -9,16 +9,18 @@ lie on each other; where there is none they are registered.
 from __future__ import annotations
 
 import itertools
+import json
 import math
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from typing import Annotated, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import cv2
 import msgspec
 import numpy as np
 from msgspec import Meta
 
+from agent.core.codec import as_text
 from agent.core.config import ConfigError, Pose, check_depth, convert, inside, read_file
 from agent.core.ranging.camera_model import camera_pose, gimbal_deg
 from agent.perception.depth_peaks import luminance
@@ -35,7 +37,7 @@ from agent.reconstruction.views import (
     reduction,
     shrunk_frame,
 )
-from hw.camera.files import read_picture
+from hw.camera.files import read_picture, turned
 from replay.check.reexecute import BlackBox, open_boxes
 from replay.viewers.viewer_channels import SweepFrame
 from replay.whole_sweeps import Motion, TakenSweep, taken_sweeps, told
@@ -195,9 +197,16 @@ def _pose(box: BlackBox, moved: Motion, t_ns: int) -> tuple[Floats, Floats, Floa
 TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 GAMMA = 2.2
 FLAT = 1e-9  # of a determinant: no rotation has so little, at any scale of a scene
+SHEARED = 0.02  # of what a rotation times its transpose is off from one: rounding leaves 1e-3
 MOST_BYTES = 2**26  # of transforms.json: 1 kB a picture
 
 Row = tuple[float, float, float, float]
+
+
+Model = Literal[
+    "SIMPLE_PINHOLE", "PINHOLE", "PERSPECTIVE", "SIMPLE_RADIAL", "RADIAL", "OPENCV", "FULL_OPENCV",
+    "OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE",
+]  # fmt: skip
 
 
 class Lens(msgspec.Struct, frozen=True, kw_only=True):
@@ -213,11 +222,17 @@ class Lens(msgspec.Struct, frozen=True, kw_only=True):
     k1: float | None = None
     k2: float | None = None
     k3: float | None = None
+    k4: float | None = None
+    k5: float | None = None
+    k6: float | None = None
     p1: float | None = None
     p2: float | None = None
+    camera_model: Model | None = None  # by nerfstudio's and COLMAP's names; None: a plain lens
+    is_fisheye: bool | None = None  # instant-ngp's word for OPENCV_FISHEYE
 
 
 LENS = Lens.__struct_fields__
+FISHEYES = ("OPENCV_FISHEYE", "SIMPLE_RADIAL_FISHEYE", "RADIAL_FISHEYE")
 
 
 class Frame(Lens, frozen=True, kw_only=True):
@@ -229,76 +244,125 @@ class Transforms(Lens, frozen=True, kw_only=True):
     frames: Annotated[tuple[Frame, ...], Meta(min_length=1)]
 
 
-def transforms_views(path: Path, show: Show) -> list[View]:
-    """Views of a transforms.json, or of the folder that has one. Raises ConfigError with one line."""
+class Posed(NamedTuple):
+    """Views, why others gave none, and what a person should know of the pictures."""
+
+    views: list[View]
+    passed_over: dict[str, int]
+    notes: list[str]
+
+
+def transforms_views(path: Path, show: Show) -> Posed:
+    """Views of a transforms.json, or of the folder that has one. Pictures that are not there are passed over.
+
+    Raises ConfigError with one line.
+    """
     file = path / "transforms.json" if path.is_dir() else path
     data = read_transforms(file)
+    places = [_picture(file, frame.file_path) for frame in data.frames]
+    missing = sum(place is None for place in places)
+    if missing == len(places):
+        raise ConfigError(f"{file}: of {missing} pictures none is there, such as {data.frames[0].file_path}")
     views = []
-    for n, frame in enumerate(data.frames):
+    for n, (frame, place) in enumerate(zip(data.frames, places, strict=True)):
         show(n, len(data.frames), "reading pictures")
-        views.append(_view(file, data, frame, n))
-    return views
+        if place is not None:
+            views.append(_view(file, data, frame, n, place))
+    line = turned([place for place in places if place is not None])
+    return Posed(views, {"pictures that are not there": missing} if missing else {}, [] if line is None else [line])
 
 
 def read_transforms(file: Path) -> Transforms:
     """Raises ConfigError for what is none, and for numbers that are not finite or are too large."""
     give = "give a folder in nerfstudio's layout, or its file"
     try:
-        text = read_file(file, MOST_BYTES, give).decode()
+        text = as_text(read_file(file, MOST_BYTES, give))
         check_depth(text, file)
-        data = msgspec.json.decode(text)
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        data = json.loads(text)  # which reads NaN, as other programs write it: it is named below
+    except ValueError as error:
         raise ConfigError(f"{file}: no JSON ({error}); {give}") from None
     return convert(data, Transforms, file)
 
 
-def _view(file: Path, data: Transforms, frame: Frame, n: int) -> View:
-    image = _image(file, frame.file_path)
-    height, width = image.shape[:2]
+def _view(file: Path, data: Transforms, frame: Frame, n: int, place: Path) -> View:
+    image = read_picture(place)
     f, camera, image = _pinhole(file, data, frame, image, n)
+    height, width = image.shape[:2]
     pose = np.array(frame.transform_matrix)[:3] @ TO_OPENCV
-    volume = float(np.linalg.det(pose[:, :3]))
-    if abs(volume) < FLAT:
-        raise ConfigError(f"{file}: frame {n}: its transform_matrix turns nothing; take the frame out")
+    rotation = _rotation(pose[:, :3], f"{file}: frame {n} ({frame.file_path})")
     times = reduction(width)
     small = shrunk_frame(image, 1.0, (0.0, 0.0), times, GAMMA) if times > 1 else linear(image, GAMMA)
     half = (times - 1) / 2.0
     intrinsics = Camera(
         f / times, (camera[0] - half) / times, (camera[1] - half) / times, 0.0, 0.0, width // times, height // times
     )
-    rotation: Floats = pose[:, :3] / np.cbrt(volume)
     unknown = np.full(small.shape[:2], np.nan, np.float32)
     return View(
         "pictures", "", n, intrinsics, rotation, pose[:, 3], diagonal_prior(1e-3, 1e-3), small, unknown, unknown
     )
 
 
-def _image(file: Path, name: str) -> np.ndarray:
-    path = inside(file.parent, name)
+def _rotation(turn: Floats, where: str) -> Floats:
+    """Without the scale that a scene may have. Raises ConfigError for what turns nothing, mirrors or shears."""
+    volume = float(np.linalg.det(turn))
+    if abs(volume) < FLAT:
+        raise ConfigError(f"{where}: its transform_matrix turns nothing; take the frame out")
+    rotation: Floats = turn / np.cbrt(volume)
+    if volume < 0.0:
+        raise ConfigError(f"{where}: its transform_matrix mirrors; write camera-to-world, x right, y up, z backwards")
+    if np.abs(rotation @ rotation.T - np.eye(3)).max() > SHEARED:
+        raise ConfigError(f"{where}: its transform_matrix is no rotation: its axes are not square to each other")
+    return rotation
+
+
+def _picture(file: Path, name: str) -> Path | None:
+    """Where it is; nerfstudio leaves endings out, and names files by the paths of another system. None: nowhere."""
+    path = inside(file.parent, name.replace("\\", "/"))
     found = [path, *(path.with_name(path.name + ending) for ending in (".png", ".jpg", ".jpeg"))]
-    return read_picture(next((one for one in found if one.is_file()), path))
+    return next((one for one in found if one.exists()), None)
 
 
 def _pinhole(
     file: Path, data: Transforms, frame: Frame, image: np.ndarray, n: int
 ) -> tuple[float, tuple[float, float], np.ndarray]:
     """Focal length and centre of the picture as a straight pinhole would have taken it, and that picture."""
-    height, width = image.shape[:2]
-    about = {name: value for lens in (data, frame) for name in LENS if (value := getattr(lens, name)) is not None}
+    height, width = map(int, image.shape[:2])
+    about: dict[str, Any] = {}
+    for lens in (data, frame):
+        about |= {name: value for name in LENS if (value := getattr(lens, name)) is not None}
+    _check_size(f"{file}: frame {n}", frame.file_path, (width, height), about)
     if "fl_x" in about:
         fx = about["fl_x"]
     elif "camera_angle_x" in about:
-        fx = 0.5 * width / math.tan(0.5 * about["camera_angle_x"])
+        fx = 0.5 * about.get("w", width) / math.tan(0.5 * about["camera_angle_x"])
     else:
         raise ConfigError(f"{file}: frame {n} has no fl_x and no camera_angle_x; add one of them")
+    model = "OPENCV_FISHEYE" if about.get("is_fisheye") else about.get("camera_model", "OPENCV")
+    if about.get("k4") and model not in ("FULL_OPENCV", *FISHEYES):
+        raise ConfigError(f"{file}: frame {n} has k4, which {model} does not have; write camera_model, or leave it out")
     fy = about.get("fl_y", fx)
-    cx, cy = about.get("cx", width / 2.0) - 0.5, about.get("cy", height / 2.0) - 0.5
-    k1, k2, k3, p1, p2 = (about.get(name, 0.0) for name in ("k1", "k2", "k3", "p1", "p2"))
+    cx, cy = about.get("cx", about.get("w", width) / 2.0), about.get("cy", about.get("h", height) / 2.0)
     scale = width / about.get("w", width)  # a folder of smaller copies has the intrinsics of the large ones
-    fx, fy, cx, cy = fx * scale, fy * scale, (cx + 0.5) * scale - 0.5, (cy + 0.5) * scale - 0.5
-    straight = not any((k1, k2, k3, p1, p2)) and fx == fy
-    if not straight:
-        lens = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
-        flat = np.array([[fx, 0.0, cx], [0.0, fx, cy], [0.0, 0.0, 1.0]])
-        image = np.asarray(cv2.undistort(image, lens, np.array([k1, k2, p1, p2, k3]), None, flat), np.uint8)
+    fx, fy, cx, cy = fx * scale, fy * scale, cx * scale - 0.5, cy * scale - 0.5
+    k1, k2, k3, k4, k5, k6, p1, p2 = (about.get(name, 0.0) for name in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"))
+    flat = np.array([[fx, 0.0, cx], [0.0, fx, cy], [0.0, 0.0, 1.0]])
+    bent = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    if model in FISHEYES:
+        image = np.asarray(cv2.fisheye.undistortImage(image, bent, np.array([k1, k2, k3, k4]), None, flat), np.uint8)
+    elif any((k1, k2, k3, p1, p2, k4, k5, k6)) or fx != fy:
+        bends = np.array([k1, k2, p1, p2, k3, k4, k5, k6])
+        image = np.asarray(cv2.undistort(image, bent, bends, None, flat), np.uint8)
     return fx, (cx, cy), image
+
+
+def _check_size(where: str, name: str, size: tuple[int, int], about: dict[str, Any]) -> None:
+    """Raises ConfigError for a picture that is no copy, larger or smaller, of one of w x h."""
+    width, height = size
+    w, h = about.get("w", width), about.get("h", height)
+    if ("w" in about) != ("h" in about):  # the other follows from the picture
+        w, h = (w, w * height / width) if "w" in about else (h * width / height, h)
+    if abs(height - h * width / w) > 1.0 and abs(width - w * height / h) > 1.0:
+        raise ConfigError(
+            f"{where}: {name} has {width}x{height} pixels, which is no copy of {w:g}x{h:g} (w and h); "
+            "give the pictures that the poses were found with, neither cut nor turned"
+        )

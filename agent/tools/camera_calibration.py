@@ -8,9 +8,9 @@ focal length, centre and two radial terms take it in (perception of a target nea
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -25,10 +25,14 @@ from agent.process.command import Progress, with_bar
 from agent.tools.focus_calibration import HUBER, Array, CalibrationRefused, check_file, gauss_newton, put, scale, solve
 from agent.tools.tags import plain_camera
 from hw.camera.camera import Image
-from hw.camera.files import picture_files, read_picture
+from hw.camera.files import folder_of_pictures, read_picture, turned
 
 MIN_VIEWS = 6  # six unknowns of the camera; fewer views leave focal length and distance entangled
 MAX_RESIDUAL_PX = 1.5  # beyond it the squares are not what was said, or the photographs are blurred
+SAME_VIEW = 0.01  # of the picture's width: views whose corners differ by less are one, with the same errors
+MOST_SIGMA = 0.005  # of the focal length, and of the picture's width for the centre: what ranges and tags can bear
+NOISE_PX = 0.1  # of a corner at least, whatever the residuals say: print, paper and lens err alike in all views
+TILT = "tilt the board by 20 degrees and more, to all sides, in four views at least"
 
 
 class Intrinsics(NamedTuple):
@@ -42,6 +46,7 @@ class Intrinsics(NamedTuple):
     k1: float
     residual_px: float
     views: int
+    sigma_px: tuple[float, float, float]  # standard deviations of f, cx and cy
 
 
 def calibrate_camera(
@@ -49,13 +54,18 @@ def calibrate_camera(
 ) -> Intrinsics:
     """Fit, print, and put the result into [camera] of `out` if given. Raises ConfigError, one line."""
     kept = check_file(out).get("camera", {}) if out is not None else {}
-    fit = with_bar(console, "looking for the board", lambda show: intrinsics(folder, columns, rows, square_mm, show))
+    shots = Photographs(folder)
+    fit = with_bar(console, "looking for the board", lambda show: intrinsics(shots, columns, rows, square_mm, show))
+    for line in shots.said:
+        console.print(line)
     corner_px = 0.5 * float(np.hypot(fit.width_px, fit.height_px))
     radius = corner_px / fit.f_px
     bend_px = corner_px * abs(fit.k1) * radius**2
+    f_sigma, x_sigma, y_sigma = fit.sigma_px
     console.print(
         f"{fit.views} views: f {fit.f_px:.1f} px, centre ({fit.cx_px:.1f}, {fit.cy_px:.1f}), residual "
-        f"{fit.residual_px:.2f} px, distortion {bend_px:.1f} px in the corners"
+        f"{fit.residual_px:.2f} px, distortion {bend_px:.1f} px in the corners; "
+        f"standard deviations: f {f_sigma:.1f} px, centre {x_sigma:.1f} and {y_sigma:.1f} px"
     )
     if out is not None:
         sizes = {"width_px": fit.width_px, "height_px": fit.height_px}
@@ -67,37 +77,71 @@ def calibrate_camera(
     return fit
 
 
-def intrinsics(folder: Path, columns: int, rows: int, square_mm: float, progress: Progress) -> Intrinsics:
-    """Fit all photographs of a folder that show the whole board of columns x rows inner corners.
+class Photographs:
+    """The photographs of a folder, as the sensor has them; those that cannot be read are named in `said`.
+
+    Raises ConfigError where there are none."""
+
+    def __init__(self, folder: Path) -> None:
+        found = folder_of_pictures(folder)
+        self.folder, self.paths = folder, found.files
+        line = turned(found.files)
+        self.said = found.left_out if line is None else [*found.left_out, line]
+
+    def unread(self) -> str:
+        """The first that could not be read, for the end of a sentence."""
+        return next((f"; {line}" for line in self.said if line.startswith("left out")), "")
+
+    def read(self, progress: Progress, **how: bool) -> Iterator[tuple[Path, NDArray[np.uint8]]]:
+        """Each that can be read; `how` as for read_picture."""
+        for done, path in enumerate(self.paths, start=1):
+            try:
+                yield path, read_picture(path, **how)
+            except ConfigError as error:
+                self.said.append(f"left out: {error}")
+            progress(done, len(self.paths))
+
+
+def intrinsics(shots: Photographs, columns: int, rows: int, square_mm: float, progress: Progress) -> Intrinsics:
+    """Fit all photographs that show the whole board of columns x rows inner corners.
 
     Progress counts photographs. Raises ConfigError where they cannot be used or do not fit, one line.
     """
-    paths = picture_files(folder)
+    folder, paths = shots.folder, shots.paths
     found: list[NDArray[np.float32]] = []
     size: tuple[int, int] | None = None
-    for done, path in enumerate(paths, start=1):
-        grey = read_picture(path, grey=True, stretch=True)  # each is looked at by itself
+    shown = 0
+    for path, grey in shots.read(progress, grey=True, stretch=True):  # each is looked at by itself
         if size not in (None, grey.shape[::-1]):
             raise ConfigError(f"{path}: is {grey.shape[1]}x{grey.shape[0]}, others are {size[0]}x{size[1]}")
         size = (grey.shape[1], grey.shape[0])
         seen, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-        if seen:
+        shown += seen
+        if seen and all(np.abs(corners - other).max() > SAME_VIEW * size[0] for other in found):
             found.append(corners.astype(np.float32))
-        progress(done, len(paths))
     if size is None or len(found) < MIN_VIEWS:
+        alike = f", of which {len(found)} differ" if len(found) < shown else ""
         raise ConfigError(
-            f"{folder}: the board of {columns}x{rows} inner corners is whole in {len(found)} of {len(paths)} "
-            f"photographs; {MIN_VIEWS} are needed, from different sides"
+            f"{folder}: the board of {columns}x{rows} inner corners is whole in {shown} of {len(paths)} photographs"
+            f"{alike}; {MIN_VIEWS} are needed, from different sides{shots.unread()}"
         )
     board = np.zeros((columns * rows, 3), np.float32)
     board[:, :2] = square_mm * np.mgrid[0:columns, 0:rows].T.reshape(-1, 2)
     flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_ASPECT_RATIO
     start = np.array([[size[0], 0, size[0] / 2], [0, size[0], size[1] / 2], [0, 0, 1]], float)
-    residual, matrix, distortion, *_ = cv2.calibrateCamera(
+    residual, matrix, distortion, turns, places = cv2.calibrateCamera(
         [board] * len(found), found, size, start, np.zeros(5), flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS
     )
     if residual > MAX_RESIDUAL_PX:
         raise ConfigError(f"{folder}: corners miss by {residual:.1f} px; check --board and the focus")
+    sigma = max(residual, NOISE_PX) * unit_sigma(board, matrix, distortion, turns, places)
+    for what, share in (("focal length", sigma[0] / matrix[0, 0]), ("centre", sigma[1:3].max() / size[0])):
+        if not share <= MOST_SIGMA:
+            known = f"to {100 * share:.1f} %" if share < 0.2 else "at all"
+            raise ConfigError(
+                f"{folder}: these views do not determine the {what} {known}, and {100 * MOST_SIGMA:.1f} % is needed; "
+                f"{TILT}"
+            )
     return Intrinsics(
         *size,
         float(matrix[0, 0]),
@@ -106,7 +150,32 @@ def intrinsics(folder: Path, columns: int, rows: int, square_mm: float, progress
         float(distortion.ravel()[0]),
         float(residual),
         len(found),
+        (float(sigma[0]), float(sigma[1]), float(sigma[2])),
     )
+
+
+ROUNDING = 1e-9  # of the largest: what is less in a normal matrix is none
+
+
+def unit_sigma(board: Any, matrix: Any, distortion: Any, turns: Sequence[Any], places: Sequence[Any]) -> Array:
+    """Standard deviations of f, cx, cy and k1 for corners that err by a pixel; infinite where they are not determined.
+
+    The board's pose in each view is taken out of the normal equations by itself (Schur complement): what it can undo
+    says nothing. OpenCV's own figures come of a pseudo-inverse, which makes what is not determined look certain.
+    """
+    normal = np.zeros((4, 4))
+    for turn, place in zip(turns, places, strict=True):
+        J = cv2.projectPoints(board, turn, place, matrix, distortion)[1]
+        lens = np.column_stack([J[:, 6] + J[:, 7], J[:, 8], J[:, 9], J[:, 10]])
+        pose, _ = np.linalg.qr(J[:, :6])
+        left = lens - pose @ (pose.T @ lens)
+        normal += left.T @ left
+    size = np.sqrt(np.diag(normal)) + 1e-300
+    values, vectors = np.linalg.eigh(normal / np.outer(size, size))
+    with np.errstate(divide="ignore"):
+        shares = vectors**2 / np.where(values > ROUNDING, values, 0.0)
+    shares[:, values <= ROUNDING] = np.where(vectors[:, values <= ROUNDING] ** 2 > ROUNDING, np.inf, 0.0)
+    return np.asarray(np.sqrt(shares.sum(axis=1)) / size)
 
 
 # --- fit of camera and gimbal ---
@@ -279,7 +348,10 @@ def calibrate_gamma(folder: Path, out: Path | None, console: Console) -> Gamma:
     kept = check_file(out).get("camera") if out is not None else None
     if out is not None and kept is None:
         raise ConfigError(f"{out}: has no table [camera] that a gamma could go to; make it by aucamp calibrate camera")
-    fit = with_bar(console, "looking for blurred tags", lambda show: gamma_of_folder(folder, show))
+    shots = Photographs(folder)
+    fit = with_bar(console, "looking for blurred tags", lambda show: gamma_of_folder(shots, show))
+    for line in shots.said:
+        console.print(line)
     low, high = fit.blur_px
     console.print(
         f"gamma {fit.gamma:.2f} +- {fit.sigma:.2f}, from {fit.tags} tags in {fit.pictures} pictures, "
@@ -290,16 +362,15 @@ def calibrate_gamma(folder: Path, out: Path | None, console: Console) -> Gamma:
     return fit
 
 
-def gamma_of_folder(folder: Path, progress: Progress) -> Gamma:
+def gamma_of_folder(shots: Photographs, progress: Progress) -> Gamma:
     """The gamma of all pictures of a folder. Progress counts pictures. Raises ConfigError where they cannot say it."""
-    paths = picture_files(folder)
+    folder = shots.folder
     gammas, blurs_px, showing = [], [], 0
-    for done, path in enumerate(paths, start=1):
-        found = gammas_of_picture(read_picture(path))
+    for _, image in shots.read(progress):
+        found = gammas_of_picture(image)
         gammas += [gamma for gamma, _ in found]
         blurs_px += [blur_px for _, blur_px in found]
         showing += bool(found)
-        progress(done, len(paths))
     if len(gammas) < FEWEST:
         raise ConfigError(
             f"{folder}: {len(gammas)} tags are blurred by {NARROWEST_BLUR_PX:.0f} px to {WIDEST_BLUR} of a module and "

@@ -212,8 +212,10 @@ def write_csv(result: DepthMap, path: Path) -> None:
     columns += ([] if result.blocks.range_m is None else ["range_m"]) + ["size_px", "reason"]
     along = result.along
     split = any_part(result.used_parts(), along)
-    blocks = _lines(result.blocks, result.block_px, np.ones(split.shape, bool))
-    parts = {} if result.parts is None else _lines(result.parts, result.block_px / along, each_part(split, along))
+    corner = result.corner_px
+    blocks = _lines(result.blocks, result.block_px, np.ones(split.shape, bool), corner)
+    side = result.block_px / along
+    parts = {} if result.parts is None else _lines(result.parts, side, each_part(split, along), corner)
     with writing(path), path.open("w", newline="", encoding="utf-8") as file:
         writer = csv.writer(file)
         writer.writerow(columns)
@@ -224,7 +226,9 @@ def write_csv(result: DepthMap, path: Path) -> None:
                 writer.writerows([row, col, *parts[row * along + r, col * along + c]] for r, c in places)
 
 
-def _lines(grid: GridPeaks, size_px: float, wanted: NDArray[np.bool_]) -> dict[tuple[int, int], Line]:
+def _lines(
+    grid: GridPeaks, size_px: float, wanted: NDArray[np.bool_], corner_px: tuple[int, int]
+) -> dict[tuple[int, int], Line]:
     """The columns from x_px on, by row and column of the square."""
     numbers = [(grid.lens_position, ".6g"), (grid.sigma, ".3g"), (grid.quality, ".4f")]
     columns = [_written(values[wanted], shape) for values, shape in numbers]
@@ -233,8 +237,12 @@ def _lines(grid: GridPeaks, size_px: float, wanted: NDArray[np.bool_]) -> dict[t
         columns.append(_written(grid.range_m[wanted], ".5g"))
     places, reasons = np.argwhere(wanted).tolist(), grid.reason[wanted].tolist()
     size = f"{size_px:g}"
+
+    def middle(row: int, col: int) -> Line:
+        return [f"{at + (k + 0.5) * size_px - 0.5:g}" for at, k in ((corner_px[0], col), (corner_px[1], row))]
+
     return {
-        (row, col): [*(f"{(k + 0.5) * size_px - 0.5:g}" for k in (col, row)), *values, size, TEXTS[reason]]
+        (row, col): [*middle(row, col), *values, size, TEXTS[reason]]
         for (row, col), reason, *values in zip(places, reasons, *columns, strict=True)
     }
 
@@ -338,6 +346,8 @@ def run(
         f"{np.count_nonzero(blocks)} of {blocks.size} blocks have a clear peak{also}, "
         f"the picture grew by {result.growth:.1%}: {files}"
     ]
+    if result.moved_px:
+        said.append(f"the picture moved by {result.moved_px:.0f} px during the sweep, which was undone: fix the camera")
     if focus is not None and calibration is not None:
         said += ranges_in_words(result, focus, calibration, out)
     if isinstance(result.box_range, NoPeak):

@@ -6,6 +6,7 @@ The output is always 8-bit colour, PNG for images and for the frames of a camera
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Iterator
 from contextlib import closing
 from pathlib import Path
@@ -17,11 +18,21 @@ from rich.console import Console
 
 from agent.core.config import ConfigError
 from agent.perception.enhancement.enhance import BUDGET_MS, Enhancer, Image, Variant, enhancer
-from agent.process.command import Progress, new_folder, with_bar
-from hw.camera.camera import CameraGone
-from hw.camera.files import SUFFIXES, picture_files, read_picture, write_picture
+from agent.process.command import Progress, new_file, new_folder, with_bar
+from hw.camera.camera import Camera, CameraGone, Frame
+from hw.camera.files import (
+    SUFFIXES,
+    VideoCamera,
+    folder_of_pictures,
+    is_picture,
+    open_video,
+    picture_files,
+    read_picture,
+    turned,
+    write_picture,
+)
 from hw.camera.open import open_camera
-from replay.files.frames import film
+from replay.files.frames import CODECS, film
 
 # --- sources of pictures ---
 # A source of pictures by name: an image, a folder of images, a video file, or the address of a camera.
@@ -37,83 +48,138 @@ class Picture(NamedTuple):
 
 
 class Pictures(NamedTuple):
-    """Walk through `each` once; a camera is open until the walk ends."""
+    """Walk through `each` once; a camera is open until the walk ends.
+
+    `problems` and `notes` grow on the way, a line for each: what could not be read, so that a command ends with exit
+    code 1; and what a person should know of the pictures.
+    """
 
     kind: Literal["images", "video", "camera"]
     each: Iterator[Picture]
     total: int | None  # None where only the end of the source tells
-    rate_hz: float | None = None  # of a video
+    rate_hz: float | None  # of a video
+    problems: list[str]
+    notes: list[str]
 
 
-def pictures(
-    source: str, frames: int | None, problems: list[str] | None = None, of_camera: int | None = None
-) -> Pictures:
+def pictures(source: str, frames: int | None, of_camera: int | None = None, upright: bool = False) -> Pictures:
     """`frames` ends the walk early. A camera never ends: it needs `frames`, or `of_camera` in its place.
 
-    Where `problems` is given, an image of a folder that cannot be read is named in it and passed over, and so is a
-    video that ends before its time; else the walk raises. Raises ConfigError, and CameraError as the camera does.
+    upright: images are turned as EXIF says; else pixels are the sensor's. Raises ConfigError, and CameraError as the
+    camera does; the walk raises where not one picture can be read.
     """
     place = Path(source)
+    problems, notes = list[str](), list[str]()
     if place.is_dir():
-        paths = picture_files(place)[:frames]
-        return Pictures("images", _images(paths, problems), len(paths))
-    if place.suffix.lower() in SUFFIXES and place.is_file():
-        return Pictures("images", _images([place], None), 1)
+        found = folder_of_pictures(place)
+        problems += found.left_out
+        paths = found.files[:frames]
+        notes += [] if upright else said(turned(paths))
+        return Pictures("images", _images(paths, problems, upright), len(paths), None, problems, notes)
+    if place.is_file() and is_picture(place):
+        notes += [] if upright else said(turned([place]))
+        one = iter([Picture(place.name, None, read_picture(place, stretch=True, upright=upright))])
+        return Pictures("images", one, 1, None, problems, notes)
     if place.is_file():
-        rate_hz, count = _announced(place)
-        return Pictures("video", _film(place, frames, count, problems), min(frames or count, count) or None, rate_hz)
+        film_camera = open_video(place)
+        count = min(frames or film_camera.count, film_camera.count)
+        each = _film(film_camera, place, frames, count, problems, notes)
+        return Pictures("video", each, count or None, film_camera.rate_hz, problems, notes)
     if ":" not in source:
         raise ConfigError(f"{source}: no such file or folder; give one, or the address of a camera (v4l2:/dev/video0)")
     most = frames or of_camera
     if most is None and not source.startswith("video:"):
         raise ConfigError(f"{source}: a camera never ends; say how many frames with --frames")
-    return Pictures("camera", _shots(source, most), most)
+    return Pictures("camera", _shots(source, most), most, None, problems, notes)
 
 
-def _images(paths: list[Path], problems: list[str] | None) -> Iterator[Picture]:
+def said(line: str | None) -> list[str]:
+    return [] if line is None else [line]
+
+
+def _images(paths: list[Path], problems: list[str], upright: bool) -> Iterator[Picture]:
+    read = 0
     for path in paths:
         try:
-            image = read_picture(path, stretch=True)  # each is looked at by itself
+            image = read_picture(path, stretch=True, upright=upright)  # each is looked at by itself
         except ConfigError as error:
-            if problems is None:
-                raise
             problems.append(str(error))
         else:
+            read += 1
             yield Picture(path.name, None, image)
+    if not read:
+        raise ConfigError(f"not one of {len(paths)} pictures can be read: {problems[-1]}")
 
 
-def _announced(path: Path) -> tuple[float, int]:
-    """Frames per second and number of frames, as the file says; 30 and 0 where it does not."""
-    capture = cv2.VideoCapture(str(path))
-    rate_hz, count = capture.get(cv2.CAP_PROP_FPS), int(capture.get(cv2.CAP_PROP_FRAME_COUNT))
-    capture.release()
-    return rate_hz if rate_hz > 0 else 30.0, max(count, 0)
-
-
-def _film(path: Path, frames: int | None, count: int, problems: list[str] | None) -> Iterator[Picture]:
-    number = 0
-    for picture in _shots(f"video:{path}", frames):
-        yield picture
-        number += 1
-    if number < WHOLE * min(frames or count, count) and problems is not None:
+def _film(
+    camera: VideoCamera, path: Path, frames: int | None, count: int, problems: list[str], notes: list[str]
+) -> Iterator[Picture]:
+    """count: how many there should be; 0: nobody knows."""
+    stale = Stale()
+    with closing(camera):
+        shots = _read(camera, frames)
+        first = next(shots, None)
+        if first is None:
+            raise ConfigError(f"{path}: not one frame can be read; convert it to H.264 in MP4")
+        second = next(shots, None)
+        # A stream without times says 0 for all of them.
+        timed = second is None or second.t_ns > first.t_ns
+        if not timed:
+            notes.append(f"{path}: its frames have no times, so that t_s is left empty; convert it to MP4")
+        number = 0
+        for frame in itertools.chain([first], [] if second is None else [second], shots):
+            stale.look(frame.image)
+            yield Picture(str(number), (frame.t_ns - first.t_ns) * 1e-9 if timed else None, frame.image)
+            number += 1
+    if number < WHOLE * count:
         problems.append(f"{path}: ends after {number} of {count} frames; it was cut off, copy or convert it again")
+    if number > STALE_FRAMES and stale.runs() == [(0, number - 1)]:
+        convert = "if it is interlaced, convert it first: ffmpeg -i FILM -vf yadif NEW.mp4"
+        problems.append(f"{path}: all {number} frames are the same picture; {convert}")
+    else:
+        notes += [f"{path}: frames {begin} to {end} are the same picture" for begin, end in stale.runs()]
+
+
+STALE_FRAMES = 10  # in a row: a camera that stood still has noise, and one that hung has none
+
+
+class Stale:
+    """Looks for frames in a row that are the same picture, bit for bit."""
+
+    def __init__(self) -> None:
+        self._last: Image | None = None
+        self._begin = self._number = 0  # of the run that goes on, and of the next frame
+        self._ended: list[tuple[int, int]] = []
+
+    def look(self, image: Image) -> None:
+        """The next frame."""
+        if self._last is not None and not np.array_equal(self._last, image):
+            self._ended, self._begin = self.runs(), self._number
+        self._last, self._number = image, self._number + 1
+
+    def runs(self) -> list[tuple[int, int]]:
+        """First and last frame of each run longer than STALE_FRAMES."""
+        now = self._begin, self._number - 1
+        return [*self._ended, now] if now[1] - now[0] >= STALE_FRAMES else self._ended
+
+
+def _read(camera: Camera, frames: int | None) -> Iterator[Frame]:
+    """Until a film's end."""
+    for _ in itertools.count() if frames is None else range(frames):
+        try:
+            yield camera.read(timeout_s=READ_TIMEOUT_S)
+        except CameraGone:
+            if not isinstance(camera, VideoCamera):
+                raise
+            return
 
 
 def _shots(url: str, frames: int | None) -> Iterator[Picture]:
-    first_ns, number = None, 0
+    first_ns = None
     with closing(open_camera(url, Path(), None)) as camera:
-        while frames is None or number < frames:
-            try:
-                frame = camera.read(timeout_s=READ_TIMEOUT_S)
-            except CameraGone:
-                if not url.startswith("video:"):
-                    raise
-                if number:
-                    return  # its end
-                raise ConfigError(f"{url}: not one frame can be read; convert it to H.264 in MP4") from None
+        for number, frame in enumerate(_read(camera, frames)):
             first_ns = frame.t_ns if first_ns is None else first_ns
             yield Picture(str(number), (frame.t_ns - first_ns) * 1e-9, frame.image)
-            number += 1
 
 
 # --- `aucamp enhance` ---
@@ -134,22 +200,28 @@ def run(
     console: Console,
 ) -> int:
     """Exit code: 0, or 1 if a part of the source could not be read. Raises ConfigError and CameraError, one line."""
-    new_folder(out)
-    problems: list[str] = []
-    found = pictures(source, frames, problems, of_camera=FRAMES)
+    one = out.suffix.lower() in SUFFIXES or out.suffix.lower() in CODECS
+    (new_file if one else new_folder)(out)
+    found = pictures(source, frames, of_camera=FRAMES, upright=True)
+    if one and not (found.total == 1 and found.kind == "images" and out.suffix.lower() == ".png"):
+        raise ConfigError(f"--out {out}: is the name of one picture; give a folder, or for one picture a NAME.png")
     way = enhancer(variant, weights, BUDGET_MS if found.kind == "camera" else None)
     if way.why:
         console.print(f"{way.variant}: {way.why}")
     render = side_by_side_with(way) if side_by_side else way.apply
-    make_folder(out)
-    if found.kind == "video":
+    make_folder(out.parent if one else out)
+    if one:
+        write_picture(out, render(next(found.each).image))
+    elif found.kind == "video":
         with_bar(console, "enhance", lambda show: enhanced_film(found, out / f"{Path(source).stem}.mp4", render, show))
     else:
         with_bar(console, "enhance", lambda show: stills(found, out, render, show))
-    for problem in problems:
+    for note in found.notes:
+        console.print(note)
+    for problem in found.problems:
         console.print(f"skipped: {problem}" if found.kind == "images" else problem)
     console.print(f"written to {out}")
-    return 1 if problems else 0
+    return 1 if found.problems else 0
 
 
 def side_by_side_with(way: Enhancer) -> Render:
@@ -220,7 +292,7 @@ def read_pair(raw: Path, reference: Path, size: Size | None) -> tuple[Image, Ima
     They are stretched as `aucamp enhance` stretches what it is given, so that training sees and figures judge what
     users get.
     """
-    image, target = read_picture(raw, stretch=True), read_picture(reference, stretch=True)
+    image, target = (read_picture(path, stretch=True, upright=True) for path in (raw, reference))
     if image.shape != target.shape:
         ours, theirs = (f"{one.shape[1]}x{one.shape[0]}" for one in (image, target))
         raise ConfigError(f"{raw}: {ours}, but its reference {theirs} pixels; a pair must show the same pixels")

@@ -4,7 +4,6 @@ The fits that calibration uses, and the calibration file with its parts.
 
 from __future__ import annotations
 
-import csv
 import math
 import shutil
 from collections.abc import Callable, Sequence
@@ -25,6 +24,7 @@ from agent.core.messages import Symmetric
 from agent.core.ranging.camera_model import FocusFit
 from agent.core.ranging.focus import TiltedPeak, with_sag
 from agent.process.command import Failed, free_name
+from hw.camera.files import read_rows
 
 # --- fits ---
 # Fit what calibration measured: the focus hyperbola. And how such fits are made, on a handful of unknowns: by Gauss-
@@ -227,6 +227,18 @@ LEVEL_DEG = 3.0  # a lens that looks up or down by less sags by 0.3 lens positio
 GOOD_LEFT_OUT = 0.05  # share of the range: a distance that the others foretell worse is named in the verdict
 
 
+MOST_SHARE = 0.1  # of a range, as the standard deviation of the curve: beyond it a range is a guess
+
+
+def range_share(fit: FocusFit, rho: float) -> float:
+    """Standard deviation of the curve's range at a lens position, as a share of that range."""
+    travel = rho - fit.rho0
+    slope = np.array([1.0, 1.0 / travel, fit.b_m / travel**2])
+    a, b, c, d, e, f = fit.covariance
+    C = np.array([[a, b, c], [b, d, e], [c, e, f]])
+    return math.sqrt(max(float(slope @ C @ slope), 0.0)) / abs(fit.u_inf_m + fit.b_m / travel)
+
+
 class PaperGauge(NamedTuple):
     """The same curve as the paper prints it: h = f k rho / (k rho - f) + c, lengths in metres."""
 
@@ -242,6 +254,13 @@ def run(table: Path, out: Path | None, console: Console) -> FocusFit:
         fit, left_out = with_sag(fit_focus(rows), tilted), leave_one_out(rows)
     except CalibrationRefused as error:
         raise ConfigError(f"{table}: {error}") from None
+    known = [(row.u_m, range_share(fit, row.rho)) for row in rows]
+    worst_m, share = max(known, key=lambda one: one[1])
+    if not share <= MOST_SHARE:
+        raise ConfigError(
+            f"{table}: these peaks determine a range of {worst_m:.2f} m to {100 * share:.0f} % only, and "
+            f"{100 * MOST_SHARE:.0f} % is needed: measure at more distances, nearer ones among them"
+        )
     if out is not None:
         check_file(out)
     console.print(result_table(fit, left_out))
@@ -266,16 +285,12 @@ def read_table(path: Path) -> Measured:
 
     tilt_deg: how far the camera looked up; u_mm is then counted along its axis.
     """
-    try:
-        lines = list(csv.DictReader(path.read_text(encoding="utf-8-sig").splitlines()))
-    except OSError as error:
-        raise ConfigError(f"{path}: cannot be read ({error.strerror}); give a CSV file") from None
-    except (UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: not a CSV file ({error}); save the table as CSV in UTF-8") from None
+    names, numbered = read_rows(path)
+    lines = [line for _, line in numbered]
     if not lines:
         raise ConfigError(f"{path}: no rows; write one line per peak under the header {','.join(REQUIRED)}")
-    header = set(lines[0])
-    for column in header - set(REQUIRED) - set(OPTIONAL):
+    header = set(names)
+    for column in sorted(header - set(REQUIRED) - set(OPTIONAL)):
         raise ConfigError(f"{path}: unknown column '{column}'; known are {', '.join((*REQUIRED, *OPTIONAL))}")
     for column in set(REQUIRED) - header:
         raise ConfigError(f"{path}: column '{column}' is missing; add it")
@@ -284,7 +299,7 @@ def read_table(path: Path) -> Measured:
         if len(values) > 1:
             raise ConfigError(f"{path}: column '{column}' mixes {', '.join(values)}; fit each by itself")
     rows, tilted = [], []
-    for number, line in enumerate(lines, start=2):
+    for number, line in numbered:
         u_mm, code = (_number(path, number, column, line[column]) for column in REQUIRED)
         if u_mm <= 0:
             raise ConfigError(f"{path}: line {number}: u_mm is {u_mm:g}; a range is positive")
@@ -294,10 +309,25 @@ def read_table(path: Path) -> Measured:
             continue
         width = _number(path, number, "width", line["width"]) if line.get("width") else math.nan
         rows.append(FocusRow(u_mm * 1e-3, code, width))
+    _check_ranges(path, [row.u_m for row in rows])
     known = [row.width for row in rows if math.isfinite(row.width)]
     rho = [row.rho for row in rows] or [0.0]
     typical = float(np.median(known)) if known else 0.1 * (max(rho) - min(rho))
     return Measured([row if math.isfinite(row.width) else row._replace(width=typical) for row in rows], tilted)
+
+
+NEAR_M, FAR_M = 0.15, 20.0  # the farthest board is farther than this, and no board is farther than that
+UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0}  # in mm, that are taken for them
+
+
+def _check_ranges(path: Path, ranges_m: Sequence[float]) -> None:
+    """Raises ConfigError for distances that no board stands at, with the unit that they may be in."""
+    if not ranges_m or NEAR_M <= max(ranges_m) <= FAR_M:
+        return
+    low, high = min(ranges_m), max(ranges_m)
+    fits = [unit for unit, mm in UNITS.items() if NEAR_M <= high * mm <= 5.0 and low * mm >= 0.05]
+    likely = f"is u_mm in {' or '.join(fits)}?" if fits else "u_mm is in millimetres;"
+    raise ConfigError(f"{path}: {low:.2g} to {high:.2g} m are no distances of a board; {likely} correct the column")
 
 
 def paper_gauge(fit: FocusFit) -> PaperGauge:
@@ -328,10 +358,12 @@ def result_table(fit: FocusFit, left_out: Sequence[LeftOut]) -> Table:
     table.add_column("value", justify="right")
     paper = paper_gauge(fit)
     sigma = [math.sqrt(max(fit.covariance[i], 0.0)) for i in (0, 3, 5)]
+    worst = max(range_share(fit, rho) for rho in (fit.lowest, fit.highest))
     for what, value in (
         ("u_inf, m", f"{fit.u_inf_m:.5g} ± {sigma[0]:.2g}"),
         ("b, m", f"{fit.b_m:.5g} ± {sigma[1]:.2g}"),
         ("rho0", f"{fit.rho0:.6g} ± {sigma[2]:.2g}"),
+        ("range by the curve, at most", f"± {100 * worst:.1f} %"),
         ("one peak, lens positions", f"± {fit.noise:.3g}"),
         (
             "sag looking straight up, lens positions",

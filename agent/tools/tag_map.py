@@ -136,6 +136,7 @@ class Views(NamedTuple):
     frames: list[SurveyFrame]
     looked_at: int  # pictures, of which those are some
     focal: float  # relative sigma of their focal lengths
+    said: tuple[str, ...] = ()  # of what could not be read
 
 
 def filmed(source: str, calibration: Path, lens: int | None, most: int | None, show: Progress) -> Views:
@@ -150,7 +151,8 @@ def filmed(source: str, calibration: Path, lens: int | None, most: int | None, s
         each.append(SurveyFrame(fit.f_px, fit.width_px, tuple(one.seen for one in find_tags(picture.image, fit))))
         show(looked_at, found.total or looked_at)
     known = lens is not None or fit.breathing == 0.0
-    return Views(list(fresh(each)), looked_at, _focal(camera) if known else ANY_FOCUS)
+    focal = _focal(camera) if known else ANY_FOCUS
+    return Views(list(fresh(each)), looked_at, focal, (*found.notes, *found.problems))
 
 
 def recorded(boxes: list[BlackBox]) -> Views:
@@ -321,7 +323,7 @@ def run(source: str, fleet_path: Path, asked: Asked, console: Console) -> Survey
     found = survey(views, fleet, known, asked.flat)
     text = block(found, fleet)
     console.print(table(found))
-    for line in remarks(found, views.looked_at):
+    for line in (*remarks(found, views.looked_at), *views.said):
         console.print(line)
     if asked.out is None:
         console.print(text, highlight=False)

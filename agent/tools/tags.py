@@ -47,8 +47,8 @@ class Told(NamedTuple):
 
 
 def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
-    """Say HEADER and a line for each tag of each picture. Returns whether there was one, and with a fleet file whether
-    all of them are in it. Raises ConfigError and CameraError, one line each."""
+    """Say HEADER and a line for each tag of each picture. Returns whether there was one, every picture could be read,
+    and with a fleet file whether all tags are in it. Raises ConfigError and CameraError, one line each."""
     known = None if asked.fleet is None else known_ids(asked.fleet)
     camera = None if asked.calibration is None else load_calibration(asked.calibration).camera
     if asked.out is not None:
@@ -66,9 +66,9 @@ def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
             return look(found, camera, known, asked, show, say, bar)
 
         told = with_bar(console, "looking for tags", walk)
-    for text in summary(told, known, asked.fleet):
+    for text in (*summary(told, known, asked.fleet), *found.notes, *found.problems):
         console.print(text, highlight=False, markup=False, soft_wrap=True)
-    return bool(told.seen) and (known is None or known >= told.seen.keys())
+    return bool(told.seen) and (known is None or known >= told.seen.keys()) and not found.problems
 
 
 def known_ids(fleet: Path) -> frozenset[int]:

@@ -7,7 +7,6 @@ agrees with boxes that somebody has marked.
 
 from __future__ import annotations
 
-import csv
 import itertools
 import json
 import math
@@ -25,7 +24,7 @@ from agent.perception.tracking.follow import FOLLOWED, Followed, Follower, State
 from agent.process.command import new_file, new_folder, plain_console, run_folder, with_bar
 from agent.tools.enhance import Picture, Pictures, pictures
 from hw.camera.camera import Image
-from hw.camera.files import write_picture
+from hw.camera.files import read_rows, write_picture
 from replay.files.frames import CODECS, film
 
 # --- pictures with the box ---
@@ -122,15 +121,10 @@ def read_truth(path: Path) -> list[Truth]:
 
     Raises ConfigError, in one line, for a file that is not such a table.
     """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as lines:
-            table = csv.DictReader(lines)
-            names = table.fieldnames or ()
-            if missing := [name for name in COLUMNS if name not in names]:
-                raise ConfigError(f"{path}: no column {', '.join(missing)}; it needs {','.join(COLUMNS)}")
-            truth = [_row(path, number, row) for number, row in enumerate(table, start=2)]
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise ConfigError(f"{path}: cannot be read as a table ({error}); give a CSV file") from None
+    names, table = read_rows(path)
+    if missing := [name for name in COLUMNS if name not in names]:
+        raise ConfigError(f"{path}: no column {', '.join(missing)}; it needs {','.join(COLUMNS)}")
+    truth = [_row(path, number, row) for number, row in table]
     frames = [row.frame for row in truth]
     if len(set(frames)) != len(frames):
         raise ConfigError(f"{path}: a frame has two rows; leave one")
@@ -153,7 +147,7 @@ def check_rows(truth: Sequence[Truth], pictures: int) -> None:
         raise ConfigError(f"{text}; give the table that belongs to it")
 
 
-def _row(path: Path, number: int, row: dict[str, str | None]) -> Truth:
+def _row(path: Path, number: int, row: dict[str, str]) -> Truth:
     try:
         frame, visible, count = int(row["frame"] or ""), int(row["visible"] or ""), int(row.get("count") or 1)
         box = Box(*(float(row[side] or "") for side in "xywh")) if visible else None
@@ -235,8 +229,8 @@ class Asked(NamedTuple):
 
 
 def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
-    """Say HEADER and a line for each picture; returns whether the thing is still there at the end, or with a truth
-    that its figures are written.
+    """Say HEADER and a line for each picture; returns whether every picture could be read and the thing is still there
+    at the end, or with a truth that its figures are written.
 
     Raises ConfigError and CameraError, one line each, before anything is said or written where the first picture, the
     box and the truth do not go together.
@@ -258,8 +252,10 @@ def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
     with writer(asked.out) as show:
         say(HEADER)
         said = with_bar(console, "following", lambda bar: follow(found, drawn, follower, show, say, bar))
+    for text in (*found.notes, *found.problems):
+        console.print(text, highlight=False)
     if not truth:
-        return said[-1].state in FOLLOWED
+        return said[-1].state in FOLLOWED and not found.problems
     if asked.frames is None:
         check_rows(truth, len(said))
     figures = score([row for row in truth if row.frame < len(said)], said, asked.rate_hz or found.rate_hz or RATE_HZ)
@@ -267,7 +263,7 @@ def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
     write_score(figures, path)
     console.print(table(figures))
     console.print(f"written to {path}")
-    return True
+    return not found.problems
 
 
 def follow(

@@ -305,7 +305,7 @@ def _files() -> list[Path]:
 
 @lru_cache(maxsize=16)
 def _read(file: Path) -> Image:
-    return read_picture(file)
+    return read_picture(file, upright=True)
 
 
 # --- pairs by scene ---

@@ -17,7 +17,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, to_install
 
 # --- water put into a picture ---
 # Water put into a picture, and the picture that the enhancement shall make of it.
@@ -396,7 +396,7 @@ def photograph_files() -> list[Path]:
     places = [folder / "data" for folder in folders] + [folder / "mpl-data" / "sample_data" for folder in folders]
     found = [place / name for name in COLOURED + TEXTURES for place in places if (place / name).is_file()]
     if len(found) < len(COLOURED + TEXTURES):
-        raise ConfigError("the training photographs come with scikit-image: in your clone: pip install -e '.[train]'")
+        raise ConfigError(f"the training photographs come with scikit-image: {to_install('train')}")
     return found
 
 

@@ -9,6 +9,8 @@ from __future__ import annotations
 import csv
 import itertools
 import math
+from collections import Counter
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
@@ -18,49 +20,134 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.clock import machine
-from agent.core.codec import stated_size
+from agent.core.codec import (
+    OTHER_PICTURES,
+    PICTURES,
+    UPRIGHT,
+    as_text,
+    cut_off,
+    kind_of,
+    orientation,
+    rows,
+    several,
+    stated_size,
+)
 from agent.core.config import ConfigError, inside, read_file, write_whole
 from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
 
 # --- picture files ---
 
-KINDS = "a PNG, JPEG, BMP, TIFF or WebP"  # whose heads can be read before they are decoded
+KINDS = "a PNG, JPEG, BMP, TIFF or WebP"  # codec.PICTURES: their heads can be read before they are decoded
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
+RAW = (".dng", ".nef", ".arw", ".cr2", ".cr3", ".raf", ".orf", ".rw2", ".pef", ".srw")  # inside often a TIFF
 MOST_BYTES = 2**30  # of a picture's file
 MOST_PIXELS = 2**28  # that its head may state: more than any sensor has, and 800 MB of memory
+HEAD_BYTES = 2**18  # in which EXIF stands
+NAMED = 5  # files in a line; more are counted
+
+
+class Folder(NamedTuple):
+    """What of a folder are pictures."""
+
+    files: list[Path]  # that can be read, or are named as if they could; in the order of their names
+    left_out: list[str]  # pictures of other kinds, a line for each
+
+
+def folder_of_pictures(folder: Path) -> Folder:
+    """By first bytes and by name. Raises ConfigError if there are none."""
+    if not folder.is_dir():
+        raise ConfigError(f"{folder}: no such folder; give a folder of pictures")
+    files, left_out = [], []
+    for path in sorted(path for path in folder.iterdir() if not path.name.startswith(".")):
+        kind = _kind(path)
+        if kind in OTHER_PICTURES:
+            left_out.append(f"{path}: {_unread(kind)}")
+        elif kind in PICTURES or path.suffix.lower() in SUFFIXES:
+            files.append(path)
+    if not files:
+        others = f"; {left_out[0].rpartition('/')[2]}" if left_out else f"; it needs {KINDS}"
+        raise ConfigError(f"{folder}: no pictures in this folder{others}")
+    return Folder(files, left_out)
 
 
 def picture_files(folder: Path) -> list[Path]:
-    """The pictures of a folder in the order of their names. Raises ConfigError if there are none."""
-    if not folder.is_dir():
-        raise ConfigError(f"{folder}: no such folder; give a folder of pictures")
-    paths = sorted(path for path in folder.iterdir() if path.suffix.lower() in SUFFIXES)
-    if not paths:
-        raise ConfigError(f"{folder}: no pictures in this folder; it needs files that end in {' '.join(SUFFIXES)}")
-    return paths
+    """The same where other kinds of pictures concern nobody."""
+    return folder_of_pictures(folder).files
 
 
-def read_picture(path: Path, grey: bool = False, stretch: bool = False) -> NDArray[np.uint8]:
+def turned(paths: Sequence[Path]) -> str | None:
+    """One line about pictures that EXIF says to turn; None: there are none.
+
+    Where pixels are measured they are counted as the sensor has them: a lens does not turn with the hand.
+    """
+    held = {path.name: orientation(_head(path)) for path in paths}
+    names = [name for name, how in held.items() if how != UPRIGHT]
+    if not names:
+        return None
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return (
+        f"{len(names)} of {len(paths)} pictures have an EXIF orientation, which is not followed: pixels are counted as "
+        f"the sensor has them ({', '.join(names[:NAMED])}{more})"
+    )
+
+
+def _head(path: Path) -> bytes:
+    try:
+        with path.open("rb") as file:
+            return file.read(HEAD_BYTES)
+    except OSError:  # a folder, or gone: whoever reads it says so
+        return b""
+
+
+def _kind(path: Path) -> str | None:
+    if not path.is_file():
+        return None
+    kind = kind_of(_head(path)[:64])
+    return "camera raw" if kind == "TIFF" and path.suffix.lower() in RAW else kind
+
+
+def _unread(kind: str) -> str:
+    return f"is {kind}, which is not read; convert it to PNG or JPEG"
+
+
+def is_picture(path: Path) -> bool:
+    """Whether a file is one, readable or not, and no film."""
+    kind = _kind(path)
+    return kind in PICTURES | OTHER_PICTURES or (kind is None and path.suffix.lower() in SUFFIXES)
+
+
+def read_picture(path: Path, grey: bool = False, stretch: bool = False, upright: bool = False) -> NDArray[np.uint8]:
     """A picture as (height, width, 3) blue green red, or as (height, width) luminance if it is to be `grey`.
 
-    A grey file becomes three equal colours, an alpha plane is left out. More than 8 bits are scaled by the largest
-    value that the type holds (1 for floating point), so that pictures stay comparable: in a focus stack a gain of its
-    own for each photograph would move the peaks of clarity. `stretch` scales by the picture's own largest value, for
-    what is looked at by itself: many cameras write 12 bits into a file of 16, which would come out nearly black.
+    Pixels are as the sensor has them; `upright` turns them as EXIF says, for people who look at them. A grey file
+    becomes three equal colours, an alpha plane is left out. More than 8 bits are scaled by the largest value that the
+    type holds (1 for floating point), so that pictures stay comparable: in a focus stack a gain of its own for each
+    photograph would move the peaks of clarity. `stretch` scales by the picture's own largest value, for what is looked
+    at by itself: many cameras write 12 bits into a file of 16, which would come out nearly black.
 
-    Raises ConfigError for a file that is not there or cannot be read, and for values that are not finite.
+    Raises ConfigError for a file that is not there, cannot be read, is cut off or holds several pictures, and for
+    values that are not finite.
     """
     data = read_file(path, MOST_BYTES, "give a picture")
+    kind = _kind(path)
+    if kind in OTHER_PICTURES:
+        raise ConfigError(f"{path}: {_unread(kind)}")
     size = stated_size(data)
     width, height = size or (0, 0)
     if width * height > MOST_PIXELS:  # before memory is taken for it
         raise ConfigError(f"{path}: says that it has {width} x {height} pixels; give a smaller picture")
+    if size is not None and cut_off(data):
+        raise ConfigError(f"{path}: not an image that OpenCV can read: it is cut off before its end; copy it again")
+    if several(data):
+        raise ConfigError(f"{path}: holds several pictures; save each as a file of its own, and give their folder")
     raw = None
     with suppress(cv2.error, MemoryError):
         how = (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_ANYDEPTH
+        how |= 0 if upright else cv2.IMREAD_IGNORE_ORIENTATION
         raw = None if size is None else cv2.imdecode(np.frombuffer(data, np.uint8), how)
     if raw is None:
-        raise ConfigError(f"{path}: not an image that OpenCV can read; give {KINDS}")
+        what = "" if kind is None or kind in PICTURES else f" (it is {kind})"
+        raise ConfigError(f"{path}: not an image that OpenCV can read{what}; give {KINDS}")
     if raw.dtype == np.uint8:
         return np.asarray(raw, np.uint8)
     if not np.isfinite(raw).all():
@@ -77,6 +164,20 @@ def write_picture(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> 
     _, data = cv2.imencode(".png", image)  # of whole numbers it always is one
     write_whole(path, data.tobytes())
 
+
+# --- tables ---
+
+
+def read_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """A CSV file as codec.rows has it: names, and lines with their numbers. Raises ConfigError."""
+    give = "save the table as CSV in UTF-8"
+    try:
+        return rows(as_text(read_file(path, MOST_TABLE_BYTES, "give a CSV file")))
+    except (UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: cannot be read as a table, not a CSV file ({error}); {give}") from None
+
+
+MOST_TABLE_BYTES = 2**24  # a line for each frame of an hour
 
 # --- stack of photographs ---
 
@@ -110,6 +211,11 @@ class StackCamera:
     def positions(self) -> tuple[float, ...]:
         """focus_position of each lens position, increasing."""
         return tuple(photograph.focus_position for photograph in self._photographs)
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """File name of each lens position."""
+        return tuple(photograph.path.name for photograph in self._photographs)
 
     def focus_range(self) -> FocusRange:
         return FocusRange(0, len(self._photographs) - 1, 1)
@@ -158,17 +264,19 @@ def _read_positions(directory: Path) -> list[Photograph]:
         raise CameraError(f"{directory}: no such directory; give one with photographs and {POSITIONS}")
     path = directory / POSITIONS
     wanted = ",".join(COLUMNS)
+    if not path.exists():
+        raise CameraError(f"{path} is missing; write one with the columns {wanted}")
     try:
-        with path.open(newline="", encoding="utf-8-sig") as file:
-            reader = csv.DictReader(file)
-            missing = [name for name in COLUMNS if name not in (reader.fieldnames or ())]
-            if missing:
-                raise CameraError(f"{path}: no column {' and '.join(missing)}; the first line must be {wanted}")
-            photographs = [_photograph(row, directory, f"{path}: line {reader.line_num}") for row in reader]
-    except FileNotFoundError:
-        raise CameraError(f"{path} is missing; write one with the columns {wanted}") from None
-    except (OSError, UnicodeDecodeError, csv.Error) as error:
-        raise CameraError(f"{path}: cannot be read as CSV: {error}") from None
+        names, table = read_rows(path)
+    except ConfigError as error:
+        raise CameraError(str(error)) from None
+    missing = [name for name in COLUMNS if name not in names]
+    if missing:
+        raise CameraError(f"{path}: no column {' and '.join(missing)}; the first line must be {wanted}")
+    photographs = [_photograph(row, directory, f"{path}: line {number}") for number, row in table]
+    twice = [name for name, count in Counter(one.path.name for one in photographs).items() if count > 1]
+    if twice:
+        raise CameraError(f"{path}: {twice[0]} stands in more than one row; give each row its own photograph")
     photographs.sort()
     if len(photographs) < MIN_PHOTOGRAPHS:
         raise CameraError(f"{path}: {len(photographs)} photographs; a peak needs at least {MIN_PHOTOGRAPHS}")
@@ -179,8 +287,8 @@ def _read_positions(directory: Path) -> list[Photograph]:
     return photographs
 
 
-def _photograph(row: dict[str, str | None], directory: Path, where: str) -> Photograph:
-    name, focus_position = (row[column] or "" for column in COLUMNS)
+def _photograph(row: dict[str, str], directory: Path, where: str) -> Photograph:
+    name, focus_position = (row[column] for column in COLUMNS)
     try:
         value = float(focus_position)
     except ValueError:
@@ -205,7 +313,9 @@ def open_video(path: Path) -> VideoCamera:
         raise CameraError(f"{path}: no such file; give the path of a video")
     capture = cv2.VideoCapture(str(path))
     if not capture.isOpened():
-        raise CameraError(f"{path}: not a video that OpenCV can play; convert it to H.264 in MP4")
+        kind = _kind(path)
+        what = f" (it is {kind})" if kind else ""
+        raise CameraError(f"{path}: not a video that OpenCV can play{what}; convert it to H.264 in MP4")
     return VideoCamera(capture, path)
 
 
@@ -214,6 +324,8 @@ class VideoCamera:
 
     def __init__(self, capture: cv2.VideoCapture, path: Path) -> None:
         self.size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+        self.count = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)  # that the file announces; 0: it does not
+        self.rate_hz = capture.get(cv2.CAP_PROP_FPS) or 30.0
         self._capture = capture
         self._path = path
         self._seq = 0

@@ -38,9 +38,9 @@ from replay.check.reexecute import (
     take,
 )
 from replay.files.channels import STEP_OUT, Entry
+from replay.files.info import suspecting
 from replay.files.log import info, parts, read
 from replay.files.mcap_file import Part, active
-from replay.files.mcap_walk import suspecting
 
 # --- who heard whom ---
 # Who heard whom: every message that a robot took in must be one that its sender gave out, byte for byte.

@@ -17,7 +17,7 @@ from agent.core.messages import Explain, LampState, LogLine, State
 from agent.core.step_io import Outputs, SweepOutcome
 from agent.robot.arbiter import NOBODY, priorities
 from replay.check.reexecute import STEP_BYTES, open_box, open_boxes
-from replay.files.mcap_walk import suspecting
+from replay.files.info import suspecting
 
 RULES = {
     "mix": "mixed its own measurement with what its neighbours said",

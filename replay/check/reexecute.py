@@ -28,10 +28,10 @@ from agent.core.verbs import arguments, in_words
 from agent.robot.step import Agent
 from replay.check.compare import ABSENT, Difference, Ignored, differences, must_differ, note, written
 from replay.files.channels import STEP_IN, STEP_OUT
-from replay.files.info import damages
+from replay.files.info import damages, suspecting
 from replay.files.log import info, parts, read
 from replay.files.mcap_file import environment, standing
-from replay.files.mcap_walk import run_note, suspecting
+from replay.files.mcap_walk import run_note
 
 # --- the black box as arguments ---
 # A robot's recording as the argument list it is: what `Agent.step` was called with, and what it answered.

@@ -32,8 +32,8 @@ from agent.core.step_io import Outputs, Sighting, SweepOutcome
 from replay.check.reexecute import STEP_BYTES, BlackBox, open_boxes
 from replay.files.channels import VISION
 from replay.files.frames import Frames, pixels
+from replay.files.info import suspecting
 from replay.files.log import info, parts, read
-from replay.files.mcap_walk import suspecting
 
 # --- what may differ ---
 # What may differ when vision looks at recorded frames again, and why so much.

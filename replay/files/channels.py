@@ -1,5 +1,5 @@
 """The table of what stands in a recording: channel, encoding, schema, writer. No other file spells a channel. And the
-queue of entries that wait for the disk.
+queue of entries that wait for the disk; and the digests by which a recording is known to be as it was written.
 
 Raw channels hold what nothing else can give back: recovery is there to keep them. Derived ones are for viewers: they
 follow from the raw ones, so replay does not read them, and a recording without them can have them made anew.
@@ -8,12 +8,14 @@ follow from the raw ones, so replay does not read them, and a recording without 
 from __future__ import annotations
 
 import heapq
+import json
 import re
 import threading
 from collections import deque
 from collections.abc import Mapping
 from functools import cache
-from typing import Literal, NamedTuple
+from hashlib import sha256
+from typing import IO, Literal, NamedTuple
 
 from agent.core import topics
 
@@ -250,3 +252,66 @@ def entry_on(
 def _pattern(channel: Channel) -> re.Pattern[str]:
     text = re.escape(channel.name).replace(r"\[", "(?:").replace(r"\]", ")?")
     return re.compile(re.sub(r"\\{(\w+)\\}", r"(?P<\1>[^/]+)", text.replace(r"\{key\}", "(?P<key>.+)")))
+
+
+# --- digests ---
+# What a recording says of itself as SHA-256, so that a reader notices what was changed after it was written.
+#
+# The header `aucamp.run` has a digest of itself and of each attachment; every other note has its own. The last note
+# has one of all bytes before it. A digest is no signature: who writes a whole new file writes new digests into it.
+
+OWN = "sha256"  # entry of a note: digest of its name and its other entries
+BEFORE = "sha256.before"  # entry of the last note: of all bytes of the file before that note
+ATTACHED = "sha256."  # and the attachment's name: entry of the header
+
+
+def stamped(name: str, facts: Mapping[str, object]) -> dict[str, str]:
+    """The entries of a note as texts, its own digest among them."""
+    entries = {key: str(value) for key, value in facts.items() if key != OWN}
+    return {**entries, OWN: _digest(name, entries)}
+
+
+def is_as_written(name: str, entries: Mapping[str, str]) -> bool | None:
+    """Whether a note is what its digest says; None: it is older than digests."""
+    said = entries.get(OWN)
+    if said is None:
+        return None
+    return said == _digest(name, {key: value for key, value in entries.items() if key != OWN})
+
+
+def of_attachments(attachments: Mapping[str, str]) -> dict[str, str]:
+    """Entries of the header for texts by file name."""
+    return {f"{ATTACHED}{name}": sha256(text.encode()).hexdigest() for name, text in attachments.items()}
+
+
+def attached(run: Mapping[str, str]) -> dict[str, str]:
+    """Digests of the attachments by file name, as a header has them."""
+    return {key.removeprefix(ATTACHED): value for key, value in run.items() if key.startswith(ATTACHED)}
+
+
+def _digest(name: str, entries: Mapping[str, str]) -> str:
+    return sha256(json.dumps([name, sorted(entries.items())]).encode()).hexdigest()
+
+
+class HashedFile:
+    """A file that is written once from its beginning; `before` is the digest of what was written so far."""
+
+    def __init__(self, file: IO[bytes]) -> None:
+        self._file, self._digest = file, sha256()
+
+    def write(self, data: bytes) -> int:
+        """Write and take into the digest."""
+        self._digest.update(data)
+        return self._file.write(data)
+
+    def tell(self) -> int:
+        """Where the next byte goes."""
+        return self._file.tell()
+
+    def flush(self) -> None:
+        """Hand everything to the operating system."""
+        self._file.flush()
+
+    @property
+    def before(self) -> str:
+        return self._digest.hexdigest()

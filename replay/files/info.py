@@ -5,7 +5,9 @@ how fast its clock went.
 from __future__ import annotations
 
 import json
+import traceback
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
 from typing import NamedTuple
@@ -14,9 +16,10 @@ from agent.clock import machine
 from agent.clock.clock import Clock
 from agent.clock.keeper import how_fast
 from agent.core import messages, topics
-from agent.core.codec import Refusal, decode, encode
-from replay.files.channels import CLOCK, STEP_IN, STEP_OUT, Entry, entry_on, network_topic
-from replay.files.mcap_walk import BEFORE, OWN, Attachment, Channel, Damage, Message, Metadata, Schema, Tear, records
+from agent.core.codec import Refusal, decode, encode, printable
+from agent.core.config import ConfigError
+from replay.files.channels import BEFORE, CLOCK, OWN, STEP_IN, STEP_OUT, Entry, entry_on, network_topic
+from replay.files.mcap_walk import OURS, Attachment, Channel, Damage, Header, Message, Metadata, Schema, Tear, records
 
 # --- rate of the clock ---
 # How fast the clock goes by which a recording is stamped: noted twice a second of it, on the channel CLOCK.
@@ -125,7 +128,7 @@ class ChannelInfo(NamedTuple):
 
 
 class Info(NamedTuple):
-    complete: bool  # finished by its writer, and as it was written; False: everything up to the tear
+    complete: bool  # finished by its writer, whoever that was, and as it was written; False: up to the tear
     run: dict[str, str]
     end: dict[str, str]  # empty when the writer was killed
     channels: dict[str, ChannelInfo]
@@ -137,6 +140,7 @@ class Info(NamedTuple):
     pace: Pace | None  # of the dive's clock; None: there was no twin
     damage: tuple[Damage, ...] = ()  # what is whole, but not as it was written
     verified: bool = False  # it has digests of all that is in it; False: as older recordings, or those cut off
+    library: str = ""  # that wrote it
 
 
 def info(path: Path) -> Info:
@@ -148,10 +152,12 @@ def info(path: Path) -> Info:
     channels: dict[str, ChannelInfo] = {}
     sequences: dict[str, int] = {}
     moments: list[Moment] = []
-    torn_bytes, torn = 0, False
+    torn_bytes, torn, library = 0, False, ""
     damage: list[Damage] = []
     for record in records(path):
         match record:
+            case Header():
+                library = record.library
             case Metadata():
                 notes[record.name] = record.metadata
             case Attachment():
@@ -187,7 +193,7 @@ def info(path: Path) -> Info:
     }
     end = plain.get("aucamp.end", {})
     return Info(
-        complete=bool(end) and not torn and not damage,
+        complete=not torn and not damage and (bool(end) or not library.startswith(OURS)),
         run=plain.get("aucamp.run", {}),
         end=end,
         channels=channels,
@@ -198,7 +204,8 @@ def info(path: Path) -> Info:
         clock={when: note for when in ("start", "end") if (note := plain.get(f"aucamp.clock.{when}"))},
         pace=pace(moments),
         damage=tuple(damage),
-        verified=verified and any(BEFORE in note for note in notes.values()),
+        verified=verified and any(BEFORE in note for note in notes.values()) and library.startswith(OURS),
+        library=library,
     )
 
 
@@ -224,6 +231,9 @@ def ending(about: Info) -> str:
         return f"damaged: {damages(about.damage)}{torn}"
     if about.recovered:
         return f"mended copy of a torn file: {about.recovered.get('summary', 'no summary')}"
+    by = f" by '{printable(about.library)[:MOST]}'" if about.library else ""
+    if about.complete and not about.library.startswith(OURS):
+        return f"whole, {'a copy' if about.run else 'but not written by Aucamp, but'}{by}; digests say nothing of it"
     if not about.run and not about.channels:
         return "nothing in it: its writer was killed at once, or something else wrote it"
     if not about.end:
@@ -284,3 +294,43 @@ def nominal_hz(channel: str) -> float:
         return STEP_HZ
     row = network_topic(channel)
     return row[0].hz if row else 0.0
+
+
+# --- damaged recordings ---
+# What a recording can do to its reader: nothing but make it say, in one line, that it is damaged.
+#
+# Whoever reads checks what can be checked. What still goes wrong in bytes that no recorder of ours wrote ends here,
+# with the place in our code that could not go on: if it is the code's mistake and not the file's, that is where to
+# look.
+
+PACKAGE = Path(__file__).parents[2]
+MOST = 160  # characters of what was wrong
+REMEDY = "take another copy of it, or report this line if its recorder is of this version"
+
+
+@contextmanager
+def suspecting(path: Path) -> Iterator[None]:
+    """Raise ConfigError, one line that names the file, for whatever its content does to the code in this block.
+
+    An OSError that names its own file comes through: it is about a disk.
+    """
+    try:
+        yield
+    except ConfigError:
+        raise
+    except Refusal as refusal:
+        raise ConfigError(f"{path}: holds a message that is none ({refusal}); {REMEDY}") from None
+    except Exception as error:
+        if isinstance(error, OSError) and error.filename is not None:
+            raise
+        said = " ".join(str(error).split())[:MOST]
+        what = f"{type(error).__name__}{f': {said}' if said else ''}"
+        raise ConfigError(f"{path}: holds what no recorder writes ({what}, in {_place(error)}); {REMEDY}") from error
+
+
+def _place(error: Exception) -> str:
+    """Where in our code it happened: file and line."""
+    frames = [(Path(frame.filename), frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
+    rooms = [PACKAGE / room for room in ("agent", "replay")]
+    path, line = [each for each in frames if any(each[0].is_relative_to(room) for room in rooms)][-1]
+    return f"{path.relative_to(PACKAGE)}:{line}"

@@ -24,8 +24,7 @@ import numpy as np
 from mcap.writer import CompressionType, Writer
 
 from agent.core.config import ConfigError
-from replay.files.channels import Entry
-from replay.files.mcap_walk import ATTACHED, BEFORE, HashedFile, of_attachments, stamped
+from replay.files.channels import ATTACHED, BEFORE, Entry, HashedFile, of_attachments, stamped
 
 # --- environment ---
 # What a recording was made with: code, versions and machine, the first suspects when a replay differs.

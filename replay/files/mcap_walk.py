@@ -7,19 +7,18 @@ costs no memory. All checksums of the format are checked, and our own digests.
 
 from __future__ import annotations
 
-import json
 import os
+import re
 import struct
-import traceback
 import zlib
 from collections import Counter, defaultdict
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator, Sequence
 from hashlib import sha256
 from io import BytesIO
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+import lz4.frame
 import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
@@ -42,80 +41,20 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from agent.core.codec import Refusal
+from agent.core.codec import kind_of
 from agent.core.config import ConfigError
-
-# --- digests ---
-# What a recording says of itself as SHA-256, so that a reader notices what was changed after it was written.
-#
-# The header `aucamp.run` has a digest of itself and of each attachment; every other note has its own. The last note
-# has one of all bytes before it. A digest is no signature: who writes a whole new file writes new digests into it.
-
-OWN = "sha256"  # entry of a note: digest of its name and its other entries
-BEFORE = "sha256.before"  # entry of the last note: of all bytes of the file before that note
-ATTACHED = "sha256."  # and the attachment's name: entry of the header
-
-
-def stamped(name: str, facts: Mapping[str, object]) -> dict[str, str]:
-    """The entries of a note as texts, its own digest among them."""
-    entries = {key: str(value) for key, value in facts.items() if key != OWN}
-    return {**entries, OWN: _digest(name, entries)}
-
-
-def is_as_written(name: str, entries: Mapping[str, str]) -> bool | None:
-    """Whether a note is what its digest says; None: it is older than digests."""
-    said = entries.get(OWN)
-    if said is None:
-        return None
-    return said == _digest(name, {key: value for key, value in entries.items() if key != OWN})
-
-
-def of_attachments(attachments: Mapping[str, str]) -> dict[str, str]:
-    """Entries of the header for texts by file name."""
-    return {f"{ATTACHED}{name}": sha256(text.encode()).hexdigest() for name, text in attachments.items()}
-
-
-def attached(run: Mapping[str, str]) -> dict[str, str]:
-    """Digests of the attachments by file name, as a header has them."""
-    return {key.removeprefix(ATTACHED): value for key, value in run.items() if key.startswith(ATTACHED)}
-
-
-def _digest(name: str, entries: Mapping[str, str]) -> str:
-    return sha256(json.dumps([name, sorted(entries.items())]).encode()).hexdigest()
-
-
-class HashedFile:
-    """A file that is written once from its beginning; `before` is the digest of what was written so far."""
-
-    def __init__(self, file: IO[bytes]) -> None:
-        self._file, self._digest = file, sha256()
-
-    def write(self, data: bytes) -> int:
-        """Write and take into the digest."""
-        self._digest.update(data)
-        return self._file.write(data)
-
-    def tell(self) -> int:
-        """Where the next byte goes."""
-        return self._file.tell()
-
-    def flush(self) -> None:
-        """Hand everything to the operating system."""
-        self._file.flush()
-
-    @property
-    def before(self) -> str:
-        return self._digest.hexdigest()
-
+from replay.files.channels import BEFORE, attached, is_as_written
 
 # --- audit of the end of a file ---
 # What a file says of itself at its end, held against what a walk through it met: index, counts, checksums, digests.
 #
-# A file of ours has all of these. One that something else wrote is judged by the checksums alone, and one from before
-# digests by all but those.
+# A file of ours has all of these. One that something else wrote, or copied, is judged by the checksums alone and by the
+# digests of header and attachments, and one from before digests by all but those.
 
+OURS = "aucamp"  # what the header says of its library begins with this
 RUN, LAST = "aucamp.run", ("aucamp.end", "aucamp.recovered")
 DAMAGED = "damaged"  # entry of the last note of a mended copy: what of the damage is in the copy, too
+ATTACHMENT_BYTES = 8 + 8 + 4 + 4 + 8  # of times and lengths; name, kind and data are beside
 SUMMARY_HEAD = struct.Struct("<BQQQ")  # what of the footer is in the checksum of the summary
 
 
@@ -133,6 +72,7 @@ class Audit:
         self.found: list[Damage] = []
         self.torn = False  # some record was broken: counts and digests of the whole must differ
         self.over = False  # the data section has ended
+        self.ours = True  # no other program has copied it, which orders and indexes it anew
         self._run: dict[str, str] | None = None
         self._closed = False  # the last note has been
         self._schemas: dict[int, Schema] = {}
@@ -144,12 +84,16 @@ class Audit:
         self._notes: list[MetadataIndex] = []
         self._attachments: list[AttachmentIndex] = []
         self._told: defaultdict[type, list[Any]] = defaultdict(list)  # records of the summary
-        self._summary_crc, self._summary_start = 0, 0
+        self._summary_crc, self._summary_start, self._footer_bytes = 0, 0, 0
         self._nameless = 0
 
     def add(self, what: str, lasts: bool = False) -> None:
         """Note a damage."""
         self.found.append(Damage(what, lasts))
+
+    def header(self, record: Header) -> None:
+        """The first record."""
+        self.ours = record.library.startswith(OURS)
 
     def chunk(self, chunk: Chunk, offset: int, length: int, inside: Sequence[tuple[int, Any]]) -> None:
         """A chunk and the records in it, by their places."""
@@ -196,8 +140,9 @@ class Audit:
             self.add(f"two {'schemas' if isinstance(record, Schema) else 'channels'} have the number {record.id}", True)
 
     def attachment(self, record: Attachment, offset: int, content: bytes) -> None:
-        """An attachment; `content` ends with its checksum."""
+        """An attachment; in `content` its checksum follows the fields."""
         self._late()
+        fields = ATTACHMENT_BYTES + len(record.name.encode()) + len(record.media_type.encode()) + len(record.data)
         self._attachments.append(
             AttachmentIndex(
                 offset=offset,
@@ -209,11 +154,11 @@ class Audit:
                 media_type=record.media_type,
             )
         )
-        (crc,) = struct.unpack("<I", content[-4:])
+        (crc,) = struct.unpack_from("<I", content, fields)
         said = attached(self._run or {}).get(record.name)
         if said is not None and said != sha256(record.data).hexdigest():
             self.add(f"{record.name} in it is not the file that was attached", True)
-        elif crc not in (0, zlib.crc32(content[:-4])):
+        elif crc not in (0, zlib.crc32(content[:fields])):
             self.add(f"{record.name} in it contradicts its checksum", said is None)
 
     def note(self, record: Metadata, offset: int, length: int, digest: Callable[[], str]) -> None:
@@ -231,7 +176,8 @@ class Audit:
             self._end_chunk()
             if record.metadata.get(DAMAGED):
                 self.add(f"before it was mended {record.metadata[DAMAGED]}", True)
-            if record.metadata.get(BEFORE, digest()) != digest() and not self.torn and not self.found:
+            changed = self.ours and record.metadata.get(BEFORE, digest()) != digest()
+            if changed and not self.torn and not self.found:
                 self.add("what was recorded was changed afterwards", True)
 
     def other(self, record: Any, offset: int, length: int, crc: int) -> None:
@@ -249,6 +195,7 @@ class Audit:
                 self.add("its data contradict their checksum")
         elif self.over or isinstance(record, Footer):
             self._told[type(record)].append(record)
+            self._footer_bytes = length - HEAD.size
 
     def end_of(self, opcode: int, head: bytes, content: bytes) -> None:
         """All bytes of a record, also of one that could not be read, before the footer."""
@@ -261,14 +208,15 @@ class Audit:
             self.add(f"{self._nameless} messages are on channels that it does not name", True)
         self._check_summary(self._told[Footer][-1])
         if self._run is not None and not self.torn:
-            self._check_index()
+            if self.ours:
+                self._check_index()
             missing = set(attached(self._run)) - {each.name for each in self._attachments}
             for name in sorted(missing):
                 self.add(f"{name} is no longer in it", True)
         return self.found
 
     def _check_summary(self, footer: Footer) -> None:
-        head = SUMMARY_HEAD.pack(Opcode.FOOTER, 20, footer.summary_start, footer.summary_offset_start)
+        head = SUMMARY_HEAD.pack(Opcode.FOOTER, self._footer_bytes, footer.summary_start, footer.summary_offset_start)
         if footer.summary_crc not in (0, zlib.crc32(head, self._summary_crc)):
             self.add("its index contradicts its checksum")
         elif footer.summary_start != (self._summary_start if len(self._told) > 1 else 0):
@@ -301,21 +249,21 @@ class Audit:
                 self.add(f"its {what} does not fit what is in it")
 
     def _end_chunk(self) -> None:
-        if self._due and self._run is not None:
+        if self._due and self._run is not None and self.ours:
             self.add("an index of messages is missing")
         self._due = {}
 
     def _late(self) -> None:
         """Nothing is recorded behind the last note."""
-        if self._closed:
+        if self._closed and self.ours:
             self.add("something follows its last note", True)
 
 
 # --- the walk ---
 
-__all__ = ["Attachment", "Channel", "Damage", "Message", "Metadata", "Schema", "Tear", "records", "run_note"]
+__all__ = ["Attachment", "Channel", "Damage", "Header", "Message", "Metadata", "Schema", "Tear", "records", "run_note"]
 
-LARGEST = 32 * 1024 * 1024  # bytes of a record, and of what a chunk holds: a longer one is a corrupt length
+LARGEST = 128 * 1024 * 1024  # bytes of a record, and of what a chunk holds: a longer one is a corrupt length
 MAGIC = b"\x89MCAP0\r\n"
 HEAD = struct.Struct("<BQ")  # of every record: opcode, length of what follows
 MESSAGE = struct.Struct("<HIQQ")  # of a message: channel, sequence, log time, publish time; its data follow
@@ -339,9 +287,10 @@ KINDS: dict[int, Any] = {
         (Opcode.DATA_END, DataEnd),
     )
 }
-BROKEN = (McapError, ValueError, struct.error, zstandard.ZstdError, MemoryError, OverflowError)
+UNKNOWN = 0x10  # opcodes from here on are of versions to come, and of private kinds: a reader skips them
+BROKEN = (McapError, ValueError, struct.error, zstandard.ZstdError, RuntimeError, MemoryError, OverflowError)
 
-Kept = Schema | Channel | Message | Metadata | Attachment
+Kept = Header | Schema | Channel | Message | Metadata | Attachment
 
 
 class Tear(NamedTuple):
@@ -354,15 +303,18 @@ class Tear(NamedTuple):
 def records(path: Path) -> Iterator[Kept | Tear | Damage]:
     """What is in the data section in the order of the file, chunks opened; what is broken comes as a Tear.
 
-    After a broken record the walk goes on where its length says that the next one begins; a length that cannot be ends
-    it. What is whole but not as it was written comes as a Damage. Of a file that grows meanwhile, what was there
-    at the beginning is read. Raises ConfigError if the file cannot be opened or is no MCAP file.
+    After a broken record the walk goes on where its length says that the next one begins; where none does, with the
+    next one that can be found. What is whole but not as it was written comes as a Damage. Of a file that grows
+    meanwhile, what was there at the beginning is read. Raises ConfigError if the file cannot be opened or is no MCAP
+    file.
     """
     with _opened(path) as file:
         size = os.fstat(file.fileno()).st_size
         magic = file.read(len(MAGIC))
         if not MAGIC.startswith(magic):  # less than that: its writer was killed at once
-            raise ConfigError(f"{path}: is no recording; give a file that ends in .mcap or .mcap.active")
+            kind = kind_of(magic + file.read(64))
+            what = f"it is {kind}" if kind else "its first bytes are not those of MCAP"
+            raise ConfigError(f"{path}: is no recording: {what}; give a recording (MCAP)")
         if len(magic) < len(MAGIC):
             yield Tear(0, size)
             return
@@ -393,31 +345,84 @@ def _walk(file: IO[bytes], size: int) -> Iterator[Kept | Tear | Damage]:
     audit, digest, crc = Audit(), sha256(MAGIC), zlib.crc32(MAGIC)
     offset = len(MAGIC)
     while offset < size:
-        head = file.read(HEAD.size)
-        opcode, length = HEAD.unpack(head) if len(head) == HEAD.size else (0, size)
-        end = offset + HEAD.size + length
-        content = file.read(length) if length <= LARGEST and end <= size else b""
-        if end > size or length > LARGEST or len(content) < length:
-            yield from audit.found
-            yield Tear(offset, size - offset)
-            return
+        head, content, end = _record(file, offset, size)
         try:
-            record = parsed(opcode, content)
+            if end is None:
+                raise EndOfFile
+            record = parsed(head[0], content, exact=audit.ours)
             inside = audited(audit, record, offset, content, digest.hexdigest, crc)
         except BROKEN:
             audit.torn = True
-            yield Tear(offset, end - offset)
-        else:
-            yield from inside
-            if isinstance(record, Footer):
-                yield from _after_footer(file, end, size, audit)
+            after = end if end is not None and _begins(file, end, size) else _found(file, offset + 1, size)
+            yield from audit.found if after == size else ()
+            yield Tear(offset, after - offset)
+            if after == size:
                 return
+            offset = after
+            continue
+        yield from inside
+        if isinstance(record, Footer):
+            file.seek(end)
+            yield from _after_footer(file, end, size, audit)
+            return
         digest.update(head)
         digest.update(content)
         crc, offset = zlib.crc32(content, zlib.crc32(head, crc)), end
-        audit.end_of(opcode, head, content)
+        audit.end_of(head[0], head, content)
     yield from audit.found
     yield Tear(size, 0)
+
+
+def _record(file: IO[bytes], offset: int, size: int) -> tuple[bytes, bytes, int | None]:
+    """Head and content of what begins there, and where it ends; None: not within the file, or not within LARGEST."""
+    file.seek(offset)
+    head = file.read(HEAD.size)
+    length = HEAD.unpack(head)[1] if len(head) == HEAD.size else size
+    end = offset + HEAD.size + length
+    content = file.read(length) if length <= LARGEST and end <= size else b""
+    return head, content, end if length <= LARGEST and end <= size and len(content) == length else None
+
+
+WINDOW = 2**20  # bytes that are searched at a time
+LIKELY = re.compile(rb"[\x01-\x0f](?=.{4}\0{4})", re.DOTALL)  # a known opcode, and a length below 4 GiB
+
+
+def _found(file: IO[bytes], start: int, size: int) -> int:
+    """Where the next record begins that can be read, and that others follow; the size of the file if none does."""
+    for place in range(start, size, WINDOW):
+        file.seek(place)
+        window = file.read(WINDOW + HEAD.size)
+        for at in (place + likely.start() for likely in LIKELY.finditer(window)):
+            if _begins(file, at, size) and _reads(file, at, size):
+                return at
+    return size
+
+
+def _begins(file: IO[bytes], at: int, size: int, others: int = 2) -> bool:
+    """Whether there is the head of a record and of `others` behind it, or the end of the file."""
+    for _ in range(others + 1):
+        if at == size:
+            return True
+        file.seek(at)
+        head = file.read(HEAD.size)
+        if head.startswith(MAGIC) or len(head) < HEAD.size:
+            return head.startswith(MAGIC)
+        opcode, length = HEAD.unpack(head)
+        if opcode == 0 or at + HEAD.size + length > size:
+            return False
+        at += HEAD.size + length
+    return True
+
+
+def _reads(file: IO[bytes], at: int, size: int) -> bool:
+    head, content, end = _record(file, at, size)
+    try:
+        record = parsed(head[0], content)
+        if isinstance(record, Chunk):
+            opened(record)
+    except BROKEN:
+        return False
+    return end is not None
 
 
 def audited(
@@ -425,6 +430,11 @@ def audited(
 ) -> Iterator[Kept] | tuple[Kept, ...]:
     """Show a record to the audit; what of it concerns a reader. `digest` and `crc` are of all bytes before it."""
     match record:
+        case None:
+            return ()
+        case Header():
+            audit.header(record)
+            return (record,)
         case Chunk():
             inside = opened(record)
             audit.chunk(record, offset, HEAD.size + len(content), inside)
@@ -465,18 +475,23 @@ class _Exact(ReadDataStream):
         return data
 
 
-def parsed(opcode: int, content: bytes) -> Any:
-    """A record of the format. Raises one of BROKEN for one that is not of its length, or of no known kind."""
+def parsed(opcode: int, content: bytes, exact: bool = False) -> Any:
+    """A record of the format; None for one of a kind to come. What follows its fields is skipped, unless it is to be
+    `exact`, as ours are. Raises one of BROKEN for one that is shorter than its fields, or of no kind."""
+    if opcode >= UNKNOWN:
+        return None
     if opcode == Opcode.MESSAGE:
         return message(content, 0, len(content))
     if opcode == Opcode.MESSAGE_INDEX:  # there are as many as channels in each chunk, and mcap's own reader is slow
         channel, length = INDEX.unpack_from(content)
-        if length != len(content) - INDEX.size:
-            raise ValueError("an index of messages of another length than it says")
-        return MessageIndex(channel, list(PLACE.iter_unpack(content[INDEX.size :])))
+        if length > len(content) - INDEX.size:
+            raise ValueError("an index of messages longer than its record")
+        return MessageIndex(channel, list(PLACE.iter_unpack(content[INDEX.size : INDEX.size + length])))
+    if opcode not in KINDS:
+        raise ValueError(f"a record with opcode {opcode}")
     stream = _Exact(BytesIO(content))
-    record = KINDS[opcode].read(stream) if opcode in KINDS else None
-    if record is None or stream.count != len(content):
+    record = KINDS[opcode].read(stream)
+    if exact and opcode != Opcode.HEADER and stream.count != len(content):
         raise ValueError(f"a record with opcode {opcode} and {len(content)} bytes")
     return record
 
@@ -499,8 +514,12 @@ def opened(chunk: Chunk) -> list[tuple[int, Schema | Channel | Message]]:
     while offset < len(data):
         opcode, length = HEAD.unpack_from(data, offset)
         start, end = offset + HEAD.size, offset + HEAD.size + length
-        if end > len(data) or opcode not in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL):
+        known = opcode in (Opcode.MESSAGE, Opcode.SCHEMA, Opcode.CHANNEL)
+        if end > len(data) or not (known or opcode >= UNKNOWN):
             raise ValueError("a chunk with another record in it")
+        if not known:
+            offset = end
+            continue
         is_message = opcode == Opcode.MESSAGE
         found.append((offset, message(data, start, end) if is_message else parsed(opcode, data[start:end])))
         offset = end
@@ -510,53 +529,15 @@ def opened(chunk: Chunk) -> list[tuple[int, Schema | Channel | Message]]:
 def _uncompressed(chunk: Chunk) -> bytes:
     """What a chunk holds, never more than it says, nor than LARGEST."""
     size = chunk.uncompressed_size
-    if size > LARGEST or chunk.compression not in ("", "zstd"):
+    if size > LARGEST or chunk.compression not in ("", "zstd", "lz4"):
         raise ValueError(f"a chunk of {size} bytes, compressed by '{chunk.compression}'")
     data: bytes = chunk.data
-    if chunk.compression:
+    if chunk.compression == "lz4":
+        data = lz4.frame.LZ4FrameDecompressor().decompress(data, max_length=size + 1) if size else b""
+    elif chunk.compression:
         if zstandard.frame_content_size(data) not in (-1, size):
             raise ValueError("a chunk of another size than it says")
         data = zstandard.ZstdDecompressor().decompress(data, max_output_size=size)
     if len(data) != size:
         raise ValueError("a chunk of another size than it says")
     return data
-
-
-# --- damaged recordings ---
-# What a recording can do to its reader: nothing but make it say, in one line, that it is damaged.
-#
-# Whoever reads checks what can be checked. What still goes wrong in bytes that no recorder of ours wrote ends here,
-# with the place in our code that could not go on: if it is the code's mistake and not the file's, that is where to
-# look.
-
-PACKAGE = Path(__file__).parents[2]
-MOST = 160  # characters of what was wrong
-REMEDY = "take another copy of it, or report this line if its recorder is of this version"
-
-
-@contextmanager
-def suspecting(path: Path) -> Iterator[None]:
-    """Raise ConfigError, one line that names the file, for whatever its content does to the code in this block.
-
-    An OSError that names its own file comes through: it is about a disk.
-    """
-    try:
-        yield
-    except ConfigError:
-        raise
-    except Refusal as refusal:
-        raise ConfigError(f"{path}: holds a message that is none ({refusal}); {REMEDY}") from None
-    except Exception as error:
-        if isinstance(error, OSError) and error.filename is not None:
-            raise
-        said = " ".join(str(error).split())[:MOST]
-        what = f"{type(error).__name__}{f': {said}' if said else ''}"
-        raise ConfigError(f"{path}: holds what no recorder writes ({what}, in {_place(error)}); {REMEDY}") from error
-
-
-def _place(error: Exception) -> str:
-    """Where in our code it happened: file and line."""
-    frames = [(Path(frame.filename), frame.lineno) for frame in traceback.extract_tb(error.__traceback__)]
-    rooms = [PACKAGE / room for room in ("agent", "replay")]
-    path, line = [each for each in frames if any(each[0].is_relative_to(room) for room in rooms)][-1]
-    return f"{path.relative_to(PACKAGE)}:{line}"

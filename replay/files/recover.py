@@ -25,9 +25,9 @@ from agent.clock import machine
 from agent.core.config import ConfigError
 from replay.files.channels import CUT, STEP_IN, STEP_OUT, Entry
 from replay.files.channels import Schema as ChannelSchema
-from replay.files.info import Info, damages, info
+from replay.files.info import Info, damages, info, suspecting
 from replay.files.mcap_file import SUFFIX, Part, active, is_held, parts, recovered, standing
-from replay.files.mcap_walk import DAMAGED, Channel, Damage, Message, Schema, Tear, records, suspecting
+from replay.files.mcap_walk import DAMAGED, Channel, Damage, Message, Schema, Tear, records
 
 
 class Recovered(NamedTuple):

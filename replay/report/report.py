@@ -14,9 +14,8 @@ from matplotlib.figure import Figure
 
 from agent.core.config import write_whole
 from agent.robot.arbiter import priorities
-from replay.files.info import pace
+from replay.files.info import pace, suspecting
 from replay.files.log import read
-from replay.files.mcap_walk import suspecting
 from replay.report import figures
 from replay.report import (
     tables as report_tables,

@@ -10,6 +10,7 @@ import pytest
 from msgspec.structs import replace
 
 import agent
+from agent.core import config
 from agent.core.codec import too_deep
 from agent.core.config import (
     Budget,
@@ -24,6 +25,7 @@ from agent.core.config import (
     dump,
     inside,
     read_toml,
+    to_install,
     write_whole,
 )
 from agent.core.trust import common
@@ -438,3 +440,9 @@ def test_a_file_that_finds_no_room_stays_as_it_was_and_is_named(tmp_path) -> Non
         write_whole(path, "x" * 2000)
     assert error.value.filename == str(path)
     assert path.read_text() == "before" and list(tmp_path.iterdir()) == [path]
+
+
+def test_an_extra_is_installed_as_the_package_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert to_install("page") == "in your clone: pip install -e '.[page]'"
+    monkeypatch.setattr(config, "__file__", str(tmp_path / "agent" / "core" / "config.py"))
+    assert to_install("page") == "pip install 'aucamp[page]'"

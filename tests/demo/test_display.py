@@ -101,6 +101,8 @@ def test_what_people_ordered_stands_with_the_faults() -> None:
     assert progress_row(msgspec.structs.replace(STATE, faults=(), armed=False))[-1].plain == "consistent, motors off"
     ordered = msgspec.structs.replace(STATE, faults=("no frames",), armed=False, ordered=("ann: stop",))
     assert progress_row(ordered)[-1].plain == "consistent, no frames, ann: stop"
+    text = shown(progress_table({"ball": {"r1": History([ordered])}}, "a dive"))
+    assert "remarks" in text and "faults" not in text, "what people ordered is no fault"
     blind = msgspec.structs.replace(STATE, knows="blind", posterior_m=None, faults=())
     assert progress_row(blind)[-1].plain == "", "of what it knows nothing about there is nothing to trust"
 

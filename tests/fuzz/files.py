@@ -9,6 +9,7 @@ import struct
 import tempfile
 import zipfile
 from collections.abc import Callable
+from contextlib import suppress
 from functools import cache, partial
 from hashlib import sha256
 from importlib.util import find_spec
@@ -35,11 +36,12 @@ from agent.process import certificates, keys
 from agent.reconstruction.sources import transforms_views
 from agent.robot.fleet_reader import load_fleet
 from agent.robot.step import Agent
+from agent.tools.enhance import WHOLE, pictures
 from agent.tools.focus_calibration import read_table
 from agent.tools.track import read_truth
 from hw.camera import files as camera_files
 from hw.camera.camera import CameraError
-from hw.camera.files import open_stack, read_picture
+from hw.camera.files import open_stack, read_picture, turned
 from hw.twin.scene import SCENES, load_scene
 from replay.check.compare import load_ignored
 from replay.report.creature_track import _true_boxes, true_path
@@ -77,6 +79,7 @@ def decoders() -> tuple[Decoder, ...]:
         Decoder("creatures", partial(refused, "creatures.csv", lambda path: true_path(path.parent, "f")), _creatures),
         Decoder("boxes", partial(refused, "boxes.csv", lambda path: _true_boxes(path.parent, "f")), _boxes),
         Decoder("picture", partial(refused, "picture.png", _picture), _pixels),
+        Decoder("film", partial(_file, (ConfigError, CameraError), "film.avi", _film), _filmed, slow_s=2.0),
         Decoder("stack", partial(_file, CameraError, "positions.csv", _stack), _positions),
         Decoder("ranges", partial(refused, "ranges.csv", read_table), _table),
         Decoder("truth", partial(refused, "truth.csv", read_truth), _truth),
@@ -210,7 +213,7 @@ def _transforms(path: Path) -> None:
     for name in ("a.png", "b.jpg"):
         if not path.with_name(name).exists():
             cv2.imwrite(str(path.with_name(name)), np.full((24, 32, 3), 90, np.uint8))
-    for view in transforms_views(path, lambda done, total, what="": None):
+    for view in transforms_views(path, lambda done, total, what="": None).views:
         sound = all(np.isfinite(part).all() for part in (view.camera, view.rotation, view.position_m))
         assert sound, "no finite view"
 
@@ -228,9 +231,33 @@ def _pixels(rng: Random) -> bytes:
 
 def _picture(path: Path) -> None:
     with patch.object(camera_files, "MOST_PIXELS", MOST_PIXELS):
+        turned([path])
         image = read_picture(path)
+        half = path.with_name("half.png")
+        half.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        with suppress(ConfigError):
+            assert np.array_equal(read_picture(half), image), "a picture that is cut off passes for whole"
     assert image.size <= 3 * MOST_PIXELS, "larger than its head says"
     assert image.ndim == 3 and image.shape[2] == 3 and image.dtype == np.uint8, "no picture"
+
+
+def _film(path: Path) -> None:
+    found = pictures(str(path), 3 * FRAMES)
+    frames = sum(1 for _ in found.each)
+    assert found.problems or found.total is None or frames >= WHOLE * found.total, "a film that is cut passes for whole"
+
+
+FRAMES = 8
+
+
+def _filmed(rng: Random) -> bytes:
+    """A film of a few small frames that differ."""
+    path = place("filmed") / "film.avi"
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (32, 24))
+    for k in range(FRAMES):
+        film.write(np.full((24, 32, 3), 8 * k + rng.randrange(8), np.uint8))
+    film.release()
+    return path.read_bytes()
 
 
 def _stack(path: Path) -> None:

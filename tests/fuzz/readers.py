@@ -38,6 +38,7 @@ FUZZED: dict[str, tuple[str, ...]] = {
     "codec.State": ("agent.core.codec:decode",),
     "creatures": ("replay.report.creature_track:true_path",),
     "fleet": ("agent.core.config:parse_toml", "agent.robot.fleet_reader:read_fleet"),
+    "film": ("hw.camera.files:open_video",),
     "focus": ("agent.core.ranging.camera_model:load_focus",),
     "ignored": ("replay.check.compare:load_ignored",),
     "jpeg": ("hw.camera.v4l2:decode",),
@@ -51,13 +52,13 @@ FUZZED: dict[str, tuple[str, ...]] = {
     "picture": (
         *(
             f"agent.core.codec:{name}"
-            for name in ("stated_size", "_jpeg_size", "_png_size", "_tiff_size", "_webp_size")
+            for name in ("stated_size", "_jpeg_size", "_png_size", "_tiff_size", "_webp_size", "several", "_turned")
         ),
         "hw.camera.files:read_picture",
     ),
     "pth": ("agent.perception.enhancement.lu2net:_tensors",),
     "pth.pickle": ("agent.perception.enhancement.lu2net:_Reader.persistent_load",),
-    "ranges": ("agent.tools.focus_calibration:read_table",),
+    "ranges": ("hw.camera.files:read_rows",),
     "reply": ("hw.camera.frame_socket:parse_reply",),
     "request": ("hw.camera.frame_socket:parse_request",),
     "safetensors": ("agent.perception.enhancement.lu2net:_hashed",),
@@ -71,13 +72,13 @@ FUZZED: dict[str, tuple[str, ...]] = {
     "scene": ("hw.twin.scene:load_scene",),
     "sessions": ("agent.ground.doctor_facts:_shown",),
     "shown": ("agent.ground.schemas:decode",),
-    "stack": ("hw.camera.files:_read_positions",),
+    "stack": ("hw.camera.files:read_rows",),
     "summary": ("replay.report.timeline:_summary",),
     "survey.json": ("agent.capabilities.swim.landmarks:_json", "agent.capabilities.swim.landmarks:_read"),
     "survey.toml": ("agent.capabilities.swim.landmarks:landmarks_of",),
     "survey.yaml": ("agent.capabilities.swim.landmarks:_yaml",),
     "transforms": ("agent.reconstruction.sources:read_transforms",),
-    "truth": ("agent.tools.track:read_truth",),
+    "truth": ("hw.camera.files:read_rows",),
     # parts
     "firmware": ("hw.firmware.tether:Tether._on_frame", "hw.firmware.wire:unpack"),
     "recordings": (
@@ -85,7 +86,10 @@ FUZZED: dict[str, tuple[str, ...]] = {
         *(f"replay.check.compare:{name}" for name in ("_ordinal", "differences", "opened")),
         *(f"replay.check.reexecute:{name}" for name in ("_open_box", "attached_toml")),
         *("replay.export:_msgpack", "replay.files.frames:pixels", "replay.files.info:_counts"),
-        *(f"replay.files.mcap_walk:{name}" for name in ("Audit.attachment", "_walk", "message", "opened", "parsed")),
+        *(
+            f"replay.files.mcap_walk:{name}"
+            for name in ("Audit.attachment", "_record", "_begins", "message", "opened", "parsed")
+        ),
     ),
     "wire": ("hw.stm32.protocol:HostProtocol._on_frame",),
 }
@@ -99,13 +103,14 @@ SAFE = {  # a module, or one of its readers
     "agent.process.command:with_pictures": "copies bytes",
     "agent.process.transport:came": "reads a key by topics.chunks, as `samples` do",
     "agent.robot.fleet_reader:with_behaviour": "what who starts it types, read as `fleet` is",
-    "agent.tools.enhance:_announced": "films: FFmpeg's, which aucamp gives to nobody but who asks for one",
+    "agent.core.codec:_is_preview": "a part of `several`",
+    "agent.ground.check:fleet_findings": "looks for words in what `fleet` has read",
+    "agent.core.codec:rows": "a part of `ranges`, `stack` and `truth`",
     "agent.tools.focus_calibration:check_file": "looks whether there is a table, by read_toml",
     "agent.tools.tag_map:check_out": "looks whether there is a table, by read_toml",
     "agent.tools.training": "what the same training wrote",
     "agent.tools.training_pairs": "what the same training wrote",
     "agent.tools.training_scenes": "a picture that it made itself",
-    "hw.camera.files:open_video": "films: FFmpeg's, which aucamp gives to nobody but who asks for one",
     "hw.camera.frame_socket": "lengths that `reply` has checked; the twin of the same user",
     "hw.camera.v4l2": "the kernel's structures",
     "hw.camera.v4l2_node": "the kernel's structures",

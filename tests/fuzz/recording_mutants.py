@@ -15,19 +15,8 @@ from typing import Any
 import msgpack
 from mcap.writer import CompressionType, Writer
 
-from replay.files.mcap_walk import (
-    BEFORE,
-    OWN,
-    Attachment,
-    Channel,
-    HashedFile,
-    Message,
-    Metadata,
-    Schema,
-    of_attachments,
-    records,
-    stamped,
-)
+from replay.files.channels import BEFORE, OWN, HashedFile, of_attachments, stamped
+from replay.files.mcap_walk import Attachment, Channel, Message, Metadata, Schema, records
 
 CHUNK_BYTES = 16 * 1024
 HUGE = (0, 1, 2**15, 2**31 - 1, 2**31, 2**32 - 1, 2**40, 2**60, 2**63 - 1, 2**63, 2**64 - 1)

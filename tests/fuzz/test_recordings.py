@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 from agent.core.config import ConfigError
-from replay.files.mcap_walk import suspecting
+from replay.files.info import suspecting
 from tests.fuzz.recordings import Harm, fuzz, one, run
 
 

@@ -150,7 +150,7 @@ def rows() -> Iterator[dict[str, object]]:
             path.write_text(f'{tank}\n[landmarks]\nfile = "{name}"\n{beside}\n')
             yield {"file": name, "with": [text, beside], "says": said(path)}
         yield {"file": "none", "says": said(path.parent / "none.toml")}
-        path.write_bytes(b"\xff\xfe")
+        path.write_bytes(b"\xff\xff")
         yield {"file": "no text", "says": said(path)}
         for what, text in UNREADABLE.items():
             path.write_text(text)

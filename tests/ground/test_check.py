@@ -3,11 +3,14 @@
 import json
 import os
 import pty
+import re
 import signal
 import socket
 from collections.abc import Iterator
 from pathlib import Path
 
+import cv2
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
@@ -205,3 +208,57 @@ def test_an_address_that_every_computer_has_is_told_of(real: Path, tmp_path: Pat
     real.write_text(real.read_text().replace("192.168.7.12", "127.0.0.2"))
     at_home = check(real, None, tmp_path)
     assert at_home.robots == 2 and not any("every computer's own" in line for line in lines(at_home, "warning"))
+
+
+SIZES = {
+    "millimetres": ("size_m = [1500.0, 1200.0, 800.0]", "1500 x 1200 x 800 m is no tank; are they mm?"),
+    "centimetres": ("size_m = [150.0, 120.0, 80.0]", "150 x 120 x 80 m is no tank; are they cm?"),
+}
+
+
+@pytest.mark.parametrize(("size", "says"), SIZES.values(), ids=SIZES)
+def test_numbers_in_another_unit_are_a_warning(tmp_path: Path, size: str, says: str) -> None:
+    path = tmp_path / "fleet.toml"
+    write_fleet(path, 2, twin=True)
+    assert not [line for line in lines(check(path, None, tmp_path), "warning") if "write" in line.lower()]
+    path.write_text(re.sub(r"size_m = \[.*\]", size, path.read_text(), count=1))
+    assert [line for line in lines(check(path, None, tmp_path), "warning") if f"tank.size_m: {says}" in line]
+
+
+def test_angles_that_look_like_radians_and_balls_of_another_unit_are_a_warning(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    write_fleet(path, 2, twin=True)
+    text = re.sub(r"yaw_deg = [-0-9.]+", "yaw_deg = 0.6", path.read_text())
+    path.write_text(re.sub(r"radius_m = [0-9.]+", "radius_m = 0.002", text))
+    warned = lines(check(path, None, tmp_path), "warning")
+    assert any("yaw_deg: 0.6 degrees; is it in radians? That would be 34.4 degrees" in line for line in warned)
+    assert any("radius_m: 0.002 m; 0.005 to 0.5 are usual: write metres" in line for line in warned)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_mark_of_its_encoding_is_no_mistake_in_a_fleet_file(tmp_path: Path, encoding: str) -> None:
+    path = tmp_path / "fleet.toml"
+    write_fleet(path, 2, twin=True)
+    wanted = load_fleet(path)
+    path.write_text(path.read_text(), encoding=encoding)
+    assert load_fleet(path) == wanted
+    assert check(path, None, tmp_path).well
+
+
+def test_one_device_by_two_names_is_found(real: Path, port: str, tmp_path: Path) -> None:
+    """As udev makes links to one port, by its place and by its number."""
+    film = tmp_path / "film.avi"
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30, (640, 480))
+    writer.write(np.zeros((480, 640, 3), np.uint8))
+    writer.release()
+    for link in ("by-id", "by-path"):
+        (tmp_path / link).symlink_to(port)
+    text = re.sub(r'"tcp/192.168.7.12:\d+"', '"tcp/127.0.0.1:17462"', real.read_text())
+    names = iter(("by-id", "by-path"))
+    text = re.sub(r"serial = .*", lambda _: f'serial = "{tmp_path / next(names)}"', text)
+    films = iter((str(film), f"{tmp_path}/./film.avi"))
+    text = re.sub(r"camera = .*", lambda _: f'camera = "video:{next(films)}"', text)
+    real.write_text(text)
+    checked = check(real, None, tmp_path)
+    assert f"r2: serial '{tmp_path / 'by-path'}' is also that of 'r1', which calls it" in str(lines(checked, "wrong"))
+    assert f"r2: camera 'video:{tmp_path}/./film.avi' is also that of 'r1'" in str(lines(checked, "warning"))

@@ -1,6 +1,7 @@
 """Fleet files that `aucamp init` writes: they are read, their robots have room and see the ball or are told."""
 
 import math
+import shlex
 from pathlib import Path
 
 import pytest
@@ -104,3 +105,12 @@ def test_nothing_is_overwritten_and_the_next_two_commands_are_said(tmp_path: Pat
 def test_a_fleet_that_ships_can_be_given_to_the_demo(name: str, tmp_path: Path) -> None:
     fleet = demo_fleet(None, "evidence", 0.0, 0, False, tmp_path, shipped_fleet(name))
     assert all(clear_m(fleet, scene_of(fleet), robot) > 0.0 for robot in fleet.robot)
+
+
+def test_what_is_to_be_typed_next_is_quoted(tmp_path: Path) -> None:
+    path = tmp_path / "my tank's" / "fleet.toml"
+    path.parent.mkdir()
+    for twin, next_word in ((True, "--fleet"), (False, "run")):
+        for line in write_fleet(path, 1, twin)[1:]:
+            assert str(path) in shlex.split(line)
+        assert next_word in line

@@ -1,14 +1,15 @@
 """What a picture file holds as 8 bits, whatever it was written with; what is no picture is one line."""
 
 import struct
+import zlib
 
 import cv2
 import numpy as np
 import pytest
 
-from agent.core.codec import stated_size
+from agent.core.codec import cut_off, kind_of, orientation, stated_size
 from agent.core.config import ConfigError
-from hw.camera.files import SUFFIXES, picture_files, read_picture
+from hw.camera.files import SUFFIXES, folder_of_pictures, picture_files, read_picture, turned
 
 COLOURS = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
 LEVELS = np.array([[0, 100, 128, 129, 257, 4095, 20000, 65535]], np.uint16)
@@ -116,3 +117,103 @@ def test_the_pictures_of_a_folder_in_order(tmp_path):
     for name in reversed(names):
         (tmp_path / name).touch()
     assert [path.name for path in picture_files(tmp_path)] == names
+
+
+# --- what a file says of its picture ---
+
+
+def held(suffix: str, how: int) -> bytes:
+    """A picture whose EXIF says how the camera was held."""
+    entry = struct.pack("<HHIHH", 0x0112, 3, 1, how, 0)
+    exif = b"II*\0" + struct.pack("<IH", 8, 1) + entry + struct.pack("<I", 0)
+    data = cv2.imencode(suffix, COLOURS)[1].tobytes()
+    if suffix == ".jpg":
+        body = b"Exif\0\0" + exif
+        return data[:2] + b"\xff\xe1" + struct.pack(">H", len(body) + 2) + body + data[2:]
+    if suffix == ".png":
+        chunk = b"eXIf" + exif
+        return data[:33] + struct.pack(">I", len(exif)) + chunk + struct.pack(">I", zlib.crc32(chunk)) + data[33:]
+    if suffix == ".webp":
+        size = struct.pack("<I", 29)[:3] + struct.pack("<I", 19)[:3]
+        parts = b"WEBPVP8X" + struct.pack("<II", 10, 0x08) + size + data[12:]
+        parts += b"EXIF" + struct.pack("<I", len(exif)) + exif
+        return b"RIFF" + struct.pack("<I", len(parts)) + parts
+    raise AssertionError(suffix)
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp"])
+def test_pixels_are_the_sensors_and_whoever_looks_at_them_turns_them(tmp_path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    path.write_bytes(held(suffix, 6))
+    assert orientation(path.read_bytes()) == 6
+    assert read_picture(path).shape == (20, 30, 3)
+    assert read_picture(path, grey=True).shape == (20, 30)
+    if suffix != ".webp":  # of which OpenCV does not read it
+        assert read_picture(path, upright=True).shape == (30, 20, 3)
+    (tmp_path / f"b{suffix}").write_bytes(held(suffix, 1))
+    line = turned(picture_files(tmp_path))
+    assert line is not None and line.startswith("1 of 2 pictures have an EXIF orientation") and f"a{suffix}" in line
+    assert turned([tmp_path / f"b{suffix}"]) is None
+
+
+@pytest.mark.parametrize("suffix", [".jpg", ".png", ".webp"])
+def test_a_picture_that_is_cut_off_is_named(tmp_path, suffix: str) -> None:
+    whole = cv2.imencode(suffix, COLOURS)[1].tobytes()
+    (tmp_path / f"whole{suffix}").write_bytes(whole + bytes(64))  # what cameras put behind it is nobody's business
+    read_picture(tmp_path / f"whole{suffix}")
+    path = tmp_path / f"cut{suffix}"
+    for end in (len(whole) - 1, len(whole) - 20, len(whole) // 2):
+        path.write_bytes(whole[:end])
+        with pytest.raises(ConfigError, match=f"cut\\{suffix}: not an image that OpenCV can read"):
+            read_picture(path)
+
+
+def test_a_thumbnails_end_is_not_the_pictures(tmp_path) -> None:
+    whole, thumbnail = (cv2.imencode(".jpg", one)[1].tobytes() for one in (COLOURS, COLOURS[:8, :8]))
+    inside = whole[:2] + b"\xff\xe1" + struct.pack(">H", len(thumbnail) + 2) + thumbnail + whole[2:]
+    assert not cut_off(inside)
+    assert cut_off(inside[:-40])
+
+
+OTHERS = {
+    "HEIC": b"\0\0\0\x18ftypheic",
+    "AVIF": b"\0\0\0\x1cftypavif",
+    "JPEG XL": b"\xff\x0a\x10",
+    "JPEG 2000": b"\0\0\0\x0cjP  \r\n",
+    "GIF": b"GIF89a",
+    "camera raw": b"II*\0\x10\0\0\0CR",
+}
+
+
+def test_pictures_of_other_kinds_are_left_out_by_name_whatever_they_are_called(tmp_path) -> None:
+    for n, (kind, head) in enumerate(OTHERS.items()):
+        assert kind_of(head) == kind
+        (tmp_path / f"{n}.jpg").write_bytes(head + bytes(40))
+    with pytest.raises(ConfigError, match=r"no pictures in this folder; 0\.jpg: is HEIC, which is not read"):
+        folder_of_pictures(tmp_path)
+    (tmp_path / "no_ending").write_bytes(cv2.imencode(".jpg", COLOURS)[1].tobytes())
+    (tmp_path / "dng.dng").write_bytes(cv2.imencode(".tif", COLOURS)[1].tobytes())  # its first picture is a thumbnail
+    (tmp_path / "notes.csv").write_text("file")
+    (tmp_path / "._0.jpg").write_bytes(b"\0\5\x16\7")  # what another system keeps beside each file
+    found = folder_of_pictures(tmp_path)
+    assert [path.name for path in found.files] == ["no_ending"]
+    said = [line.rpartition("/")[2] for line in found.left_out]
+    what = [*OTHERS, "camera raw"]
+    names = [*(f"{n}.jpg" for n in range(len(OTHERS))), "dng.dng"]
+    assert said == [
+        f"{name}: is {kind}, which is not read; convert it to PNG or JPEG"
+        for name, kind in zip(names, what, strict=True)
+    ]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".webp", ".tif"])
+def test_several_pictures_in_one_file_are_refused(tmp_path, suffix: str) -> None:
+    path = tmp_path / f"a{suffix}"
+    if suffix == ".tif":
+        cv2.imwritemulti(str(path), [COLOURS, COLOURS])
+    else:
+        both = cv2.Animation()
+        both.frames, both.durations = [COLOURS, 255 - COLOURS], [100, 100]
+        cv2.imwriteanimation(str(path), both)
+    with pytest.raises(ConfigError, match="holds several pictures; save each as a file of its own"):
+        read_picture(path)

@@ -9,6 +9,7 @@ from msgspec.structs import replace
 from agent.core.ranging.camera_model import CameraFit, at_lens_position
 from agent.core.step_io import SeenTags
 from agent.perception.tags import (
+    all_tags,
     find_tags,
     fit_corners,
     fit_line,
@@ -304,3 +305,38 @@ def test_a_line_does_not_mind_outliers():
 def test_slopes_and_pixels_undo_each_other():
     px = np.array([[0.0, 0.0], [279.0, 239.0], [90.0, 150.0]])
     assert np.allclose(to_pixels(EDGES_CAMERA, to_slopes(EDGES_CAMERA, px)), px, atol=1e-6)
+
+
+# --- pictures of any size ---
+
+
+def wall_of_tags(width_px, height_px, side_px):
+    """A picture with the tags of CODES in a row, each so large, a little blurred."""
+    light = np.full((height_px, width_px), WALL)
+    printed = (np.arange(round(side_px * 10 / 8)) * 10 / round(side_px * 10 / 8)).astype(int)
+    for k, number in enumerate(CODES):
+        tag = 0.03 + 0.67 * modules(number)[np.ix_(printed, printed)]
+        top, left = height_px // 3, int((0.05 + 0.15 * k) * width_px)
+        light[top : top + len(tag), left : left + len(tag)] = tag
+    grey = cv2.GaussianBlur((255 * light ** (1 / 2.2)).astype(np.uint8), (0, 0), 0.5)
+    return cv2.cvtColor(grey, cv2.COLOR_GRAY2BGR)
+
+
+@pytest.mark.parametrize(
+    ("width_px", "height_px", "side_px"),
+    [(640, 480, 20), (1280, 960, 24), (1920, 1080, 24), (1920, 1080, 160), (4000, 3000, 24), (4000, 3000, 400)],
+)
+def test_a_tag_has_as_many_pixels_in_a_large_picture_as_in_a_small_one(width_px, height_px, side_px):
+    camera = CameraFit(
+        width_px=width_px, height_px=height_px, f_px=width_px, cx_px=width_px / 2 - 0.5, cy_px=height_px / 2 - 0.5
+    )
+    found = find_tags(wall_of_tags(width_px, height_px, side_px), camera)
+    assert [one.seen.id for one in found] == sorted(CODES)
+    assert [one.seen.size_px for one in found] == pytest.approx([side_px] * len(CODES), rel=0.1)
+
+
+def test_what_is_found_at_two_sizes_counts_once():
+    """Tags of 200 px are found in the picture and in the one of half its size."""
+    camera = CameraFit(width_px=1920, height_px=1080, f_px=1920, cx_px=959.5, cy_px=539.5)
+    found = all_tags(wall_of_tags(1920, 1080, 200), camera)
+    assert [one.seen.id for one in found] == sorted(CODES) and all(one.alone for one in found)

@@ -24,7 +24,8 @@ from agent.core.config import Access, ConfigError, dump
 from agent.core.ranging.camera_model import Calibration
 from agent.core.trust import verify_signature
 from agent.ground.new_fleet import fleet_keys, make_keys
-from agent.process.keys import NO_KEYS, UnusableKeyError, read_private, read_public, robot_keys
+from agent.process.command import shipped_fleet
+from agent.process.keys import NO_KEYS, UnusableKeyError, keys_folder, read_private, read_public, robot_keys
 from agent.robot.fleet_reader import load_fleet
 from tests.known_lens import CAMERA, PLAIN
 from tests.places import ROOT
@@ -228,3 +229,15 @@ def test_an_agent_without_its_key_ends_in_one_line_before_anything_is_opened(tmp
     assert done.returncode == 2
     assert done.stderr.startswith("aucamp: keys/r1.sign: no such file; ") and done.stderr.count("\n") == 1
     assert set(tmp_path.rglob("*")) == before
+
+
+def test_the_keys_of_a_demo_that_runs_are_beside_its_twin(tmp_path: Path) -> None:
+    """Its run's folder has none: they are good for nothing else."""
+    fleet = load_fleet(shipped_fleet())
+    fleet = replace(fleet, access=Access(keys="keys"), twin=replace(fleet.twin, dir=str(tmp_path / "twin")))
+    path = tmp_path / "run" / "fleet.toml"
+    assert keys_folder(fleet, path) == tmp_path / "run" / "keys"
+    (tmp_path / "twin" / "keys").mkdir(parents=True)
+    assert keys_folder(fleet, path) == tmp_path / "twin" / "keys"
+    (tmp_path / "run" / "keys").mkdir(parents=True)
+    assert keys_folder(fleet, path) == tmp_path / "run" / "keys", "the file's own go first"

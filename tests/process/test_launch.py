@@ -5,11 +5,13 @@ import subprocess
 import sys
 import threading
 import time
+from pathlib import Path
 
 import pytest
 
 from agent.process import launch
-from agent.process.launch import Stop, until_signal
+from agent.process.command import Failed
+from agent.process.launch import Crew, Stop, until_signal
 from tests.places import ROOT
 from tests.waiting import until
 
@@ -93,3 +95,58 @@ def test_an_agent_that_may_not_have_its_memory_says_so_and_does_not_start(limit:
     done = subprocess.run(command, shell=True, capture_output=True, text=True, cwd=ROOT, timeout=60.0)
     (line,) = done.stderr.splitlines()
     assert done.returncode == 2 and line.startswith("aucamp: a process may have ") and f"ulimit {limit[:2]} " in line
+
+
+# --- work that is waited for ---
+
+
+def test_who_works_may_take_as_long_as_the_machine_is_busy(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A second of a processor is allowed: work of a tenth is done, however long it takes by the wall."""
+    now_s = [0.0]
+    monkeypatch.setattr(launch.machine, "monotonic_s", lambda: now_s[0])
+    worked = iter([0.0, *(0.15 * k for k in range(1, 7))])
+
+    class Done:
+        pid, returncode = 1, 0
+
+        def poll(self) -> int | None:
+            now_s[0] += 0.9  # by the wall, of each look
+            return 0 if now_s[0] > 5.0 else None
+
+    crew = Crew(tmp_path)
+    crew._children = [launch.Child("calibrate_r1", Done(), tmp_path / "a.log")]
+    monkeypatch.setattr(launch, "busy_s", lambda pid: next(worked))
+    monkeypatch.setattr(launch.machine, "sleep", lambda s: None)
+    crew.finish_one(1.0)
+    assert crew._children == []
+
+
+@pytest.mark.parametrize(("work", "how"), [(0.0, "stood still"), (0.6, "worked")])
+def test_who_stands_still_or_works_for_ever_is_given_up(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, work: float, how: str
+) -> None:
+    now_s, worked_s = [0.0], [0.0]
+
+    class Never:
+        pid, returncode = 1, None
+
+        def poll(self) -> None:
+            now_s[0], worked_s[0] = now_s[0] + 0.4, worked_s[0] + work
+
+    monkeypatch.setattr(launch.machine, "monotonic_s", lambda: now_s[0])
+    monkeypatch.setattr(launch, "busy_s", lambda pid: worked_s[0])
+    monkeypatch.setattr(launch.machine, "sleep", lambda s: None)
+    crew = Crew(tmp_path)
+    crew._children = [launch.Child("calibrate_r1", Never(), tmp_path / "a.log")]
+    with pytest.raises(Failed, match=f"calibrate_r1 {how} for longer than 1 s; its output is in"):
+        crew.finish_one(1.0)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="/proc is Linux's")
+def test_a_processors_time_is_that_of_all_below_a_process() -> None:
+    burn = "import time; t = time.process_time()\nwhile time.process_time() - t < 0.2: pass"
+    below = f"import subprocess, sys; subprocess.run([sys.executable, '-c', {burn!r}]); sys.stdin.read()"
+    with subprocess.Popen([sys.executable, "-c", below], stdin=subprocess.PIPE) as process:
+        until(lambda: launch.busy_s(process.pid) >= 0.2)
+        process.communicate(b"")
+    assert launch.busy_s(process.pid) == 0.0

@@ -7,6 +7,7 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -38,7 +39,7 @@ def folder(tmp_path: Path) -> Path:
 
 
 def test_what_was_written_is_read(folder: Path) -> None:
-    views = transforms_views(folder, quiet)
+    views = transforms_views(folder, quiet).views
     assert len(views) == 5
     assert views[0].camera == pytest.approx(STRAIGHT)
     np.testing.assert_allclose(views[1].position_m, np.array([0.12, -0.33, 0.42]) * UNIT)
@@ -65,7 +66,7 @@ def test_a_bent_lens_is_straightened(folder: Path) -> None:
     for frame in data["frames"]:
         frame["k1"] = 0.2
     file.write_text(json.dumps(data))
-    views: list[View] = transforms_views(file, quiet)
+    views: list[View] = transforms_views(file, quiet).views
     assert views[0].camera.bend == 0.0
 
 
@@ -93,11 +94,24 @@ DAMAGE = {
     "a short matrix": (("frames", "transform_matrix", [[1.0] * 4] * 3), r"key 'frames\[1\]\.transform_matrix'"),
     "a matrix of zeros": (
         ("frames", "transform_matrix", [[0.0] * 4] * 4),
-        "frame 1: its transform_matrix turns",
+        "frame 1 .*: its transform_matrix turns",
     ),
     "a huge place": (("frames", "transform_matrix", [[1.0, 0.0, 0.0, 1e300]] * 4), "beyond"),
     "no focal length": (("frames", "fl_x", 0), r"key 'frames\[1\]\.fl_x'"),
     "no frames": (("frames", []), "key 'frames'"),
+    "a focal length that is none": (("frames", "fl_x", float("nan")), r"key 'frames\[1\]\.fl_x'"),
+    "a place that is none": (
+        ("frames", "transform_matrix", [[1.0, 0.0, 0.0, float("nan")]] * 4),
+        r"key 'frames\[1\]\.transform_matrix\[0\]\[3\]': not a finite number",
+    ),
+    "a mirror": (("frames", "transform_matrix", np.diag([1.0, 1.0, -1.0, 1.0]).tolist()), "frame 1 .* mirrors"),
+    "a sheared matrix": (
+        ("frames", "transform_matrix", (np.eye(4) + np.eye(4, k=1) * 0.3).tolist()),
+        "frame 1 .* not square to each other",
+    ),
+    "another picture": (("frames", "h", 240), r"has 112x84 pixels, which is no copy of 112x240 \(w and h\)"),
+    "a lens of which nothing is known": (("camera_model", "EQUIRECTANGULAR"), "key 'camera_model': 'EQUIRECTANGULAR'"),
+    "a lens by another program's rule": (("k4", 0.1), "frame 0 has k4, which OPENCV does not have"),
 }
 
 
@@ -130,3 +144,65 @@ def test_a_picture_that_is_none_takes_no_memory(folder: Path, content: bytes) ->
     picture.write_bytes(content)
     with pytest.raises(ConfigError, match=f"{picture.name}: (says that it has|not an image)"):
         transforms_views(folder, quiet)
+
+
+def changed(folder: Path, **entries: object) -> Path:
+    """The scene with these entries, for all frames."""
+    file = folder / "transforms.json"
+    data = {**json.loads(file.read_text()), **entries}
+    data["frames"] = [{key: said for key, said in frame.items() if key not in entries} for frame in data["frames"]]
+    file.write_text(json.dumps(data))
+    return file
+
+
+def bent_by_a_fisheye(image: np.ndarray, k1: float) -> np.ndarray:
+    """What a lens of theta (1 + k1 theta^2) makes of a straight picture of the same focal length."""
+    f, cx, cy = STRAIGHT[:3]
+    v, u = np.mgrid[: image.shape[0], : image.shape[1]].astype(np.float32)
+    x, y = (u - cx) / f, (v - cy) / f
+    radius = np.maximum(np.hypot(x, y), 1e-9)
+    theta = radius.copy()
+    for _ in range(20):
+        theta -= (theta * (1 + k1 * theta**2) - radius) / (1 + 3 * k1 * theta**2)
+    grow = np.tan(theta) / radius
+    return cv2.remap(image, (cx + f * x * grow).astype(np.float32), (cy + f * y * grow).astype(np.float32), 1)
+
+
+@pytest.mark.parametrize("words", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
+def test_a_fisheye_is_straightened_by_its_own_rule(folder: Path, words: dict) -> None:
+    straight = transforms_views(folder, quiet).views[0].picture
+    for path in (folder / "images").iterdir():
+        cv2.imwrite(str(path), bent_by_a_fisheye(cv2.imread(str(path)), 0.5))
+    inner = (slice(20, -20), slice(20, -20))
+    apart = {}
+    for name, entries in (
+        ("fisheye", {**words, "k1": 0.5}),
+        ("plain", {"camera_model": "OPENCV", "is_fisheye": False}),
+    ):
+        there = transforms_views(changed(folder, **entries), quiet).views[0].picture
+        apart[name] = float(np.abs(there - straight)[inner].mean())
+    assert apart["fisheye"] < 0.5 * apart["plain"]
+
+
+def test_smaller_copies_have_the_intrinsics_of_the_large_ones(folder: Path) -> None:
+    views = transforms_views(changed(folder, w=224, h=167, fl_x=308.0, fl_y=308.0, cx=112.0, cy=84.0), quiet).views
+    assert views[0].camera == pytest.approx(STRAIGHT)
+
+
+def test_pictures_that_are_not_there_are_counted(folder: Path) -> None:
+    pictures = sorted((folder / "images").iterdir())
+    pictures[1].unlink()
+    posed = transforms_views(folder, quiet)
+    assert [view.seq for view in posed.views] == [0, 2, 3, 4]
+    assert posed.passed_over == {"pictures that are not there": 1}
+    for path in pictures:
+        path.unlink(missing_ok=True)
+    with pytest.raises(ConfigError, match="of 5 pictures none is there, such as images"):
+        transforms_views(folder, quiet)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
+def test_a_mark_of_its_encoding_is_no_damage(folder: Path, encoding: str) -> None:
+    file = folder / "transforms.json"
+    file.write_text(file.read_text(), encoding=encoding)
+    assert len(transforms_views(folder, quiet).views) == 5

@@ -41,7 +41,7 @@ def folder(tmp_path: Path) -> Path:
         (["recover", "empty"], "empty: is a folder; give a recording in it"),
         (["report", "empty"], "empty: no recording and no summary.json; give the folder of a run"),
         (["info", "empty"], r"empty: has no recording \(.mcap\) in it"),
-        (["info", "x.txt"], "x.txt: is no recording; give a file that ends in .mcap"),
+        (["info", "x.txt"], "x.txt: is no recording: its first bytes are not those of MCAP; give a recording"),
         (["layout", TANK, "--out", "x.txt"], "x.txt: is there already, and nothing is overwritten"),
         (["report", "alone", "--out", "x.txt"], "x.txt: is there already, and nothing is overwritten"),
     ],

@@ -11,6 +11,7 @@ from agent.__main__ import app
 from agent.core.config import ConfigError
 from agent.core.messages import Message, State
 from replay.files.info import info
+from replay.report.timeline import open_run
 from replay.story import info_all, listed, story, story_facts
 from tests.places import GOLDEN
 from tests.replay.overheard_run import overheard_run
@@ -83,3 +84,21 @@ def test_words_are_listed_as_people_do() -> None:
     assert [listed(words) for words in ([], ["r1"], ["r1", "r2"], ["r1", "r2", "r3"])] == [
         "", "r1", "r1 and r2", "r1, r2 and r3",
     ]  # fmt: skip
+
+
+def test_an_event_has_one_time_in_the_info_of_a_run_and_in_its_report() -> None:
+    """Robots start one after the other; all count from the first step of any."""
+    run = open_run(GOLDEN / "outage")
+    files: dict[str, str] = {}
+    info_all([GOLDEN / "outage"], True, lambda text: files.update({json.loads(text)["file"]: text}))
+    told = {}
+    for text in files.values():
+        for robot, facts in json.loads(text)["story"]["targets"]["ball"]["robots"].items():
+            told[robot] = facts["seen_s"]
+    seen = {
+        timeline.robot: next((t_s for t_s, state in timeline.states if state.knows == "sees"), None)
+        for timeline in run.about("ball")
+    }
+    assert len(told) == len(seen) > 1
+    for robot, seen_s in seen.items():
+        assert told[robot] == (None if seen_s is None else pytest.approx(seen_s, abs=0.06)), robot

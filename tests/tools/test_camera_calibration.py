@@ -1,5 +1,7 @@
 """Intrinsics come back from photographs painted with known ones."""
 
+import io
+import shutil
 from pathlib import Path
 
 import cv2
@@ -8,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from agent.core.config import ConfigError, read_toml
-from agent.tools.camera_calibration import calibrate_camera
+from agent.tools.camera_calibration import calibrate_camera, unit_sigma
 
 F, CX, CY = 820.0, 330.0, 232.0
 QUIET = Console(quiet=True)
@@ -42,6 +44,7 @@ def test_known_intrinsics_come_back(folder: Path, tmp_path: Path) -> None:
     assert fit.f_px == pytest.approx(F, rel=0.003)
     assert (fit.cx_px, fit.cy_px) == pytest.approx((CX, CY), abs=3.0)
     assert fit.residual_px < 0.3
+    assert 0.2 < fit.sigma_px[0] < 2.0 and max(fit.sigma_px[1:]) < 1.0
     content = read_toml(out)
     assert content["camera"]["f_px"] == fit.f_px
     assert content["camera"]["pan_zero_deg"] == 0.5
@@ -54,8 +57,63 @@ def test_what_cannot_be_used_is_one_line(folder: Path, tmp_path: Path) -> None:
         calibrate_camera(tmp_path / "none", 9, 6, 25.0, None, QUIET)
     with pytest.raises(ConfigError, match="whole in 0 of 12"):
         calibrate_camera(folder, 13, 6, 25.0, None, QUIET)
-    with pytest.raises(ConfigError, match=r"no pictures in this folder; it needs files that end in \.png"):
+    with pytest.raises(ConfigError, match="no pictures in this folder; it needs a PNG"):
         calibrate_camera(tmp_path, 9, 6, 25.0, None, QUIET)
     (tmp_path / "a.png").write_bytes(b"no picture")
     with pytest.raises(ConfigError, match=r"a\.png: not an image that OpenCV can read"):
         calibrate_camera(tmp_path, 9, 6, 25.0, None, QUIET)
+
+
+def test_photographs_that_cannot_be_read_are_left_out_by_name(folder: Path, tmp_path: Path) -> None:
+    shutil.copytree(folder, tmp_path, dirs_exist_ok=True)
+    (tmp_path / "00.png").write_bytes(b"")
+    (tmp_path / "z.heic").write_bytes(b"\0\0\0\x18ftypheic")
+    console = Console(record=True, width=200, file=io.StringIO())
+    assert calibrate_camera(tmp_path, 9, 6, 25.0, None, console).views == 11
+    said = console.export_text()
+    assert "left out: " in said and "00.png: not an image that OpenCV can read (it is empty)" in said
+    assert "z.heic: is HEIC" in said
+
+
+RNG = np.random.default_rng(3)
+BAD_VIEWS = {
+    "parallel, from far and near": ([(0.0, 0.0, d) for d in np.linspace(400, 600, 7)], "focal length at all"),
+    "all tilted alike": ([(0.43, 0.0, d) for d in np.linspace(380, 620, 7)], "focal length at all"),
+    "nearly parallel": (
+        [(*RNG.normal(0.0, 0.03, 2), d) for d in np.linspace(380, 620, 7)],
+        r"focal length (at all|to \d+\.\d %), and 0\.5 % is needed; tilt the board by 20 degrees and more",
+    ),
+    "a burst of one pose": (
+        [(0.3 + RNG.normal(0.0, 0.002), 0.2, 450.0 + RNG.normal(0.0, 0.5)) for _ in range(8)],
+        "whole in 8 of 8 photographs, of which 1 differ; 6 are needed",
+    ),
+}
+
+
+@pytest.mark.parametrize(("poses", "why"), BAD_VIEWS.values(), ids=BAD_VIEWS)
+def test_views_that_do_not_determine_a_camera_are_refused(tmp_path: Path, poses: list, why: str) -> None:
+    for k, pose in enumerate(poses):
+        photograph(tmp_path / f"{k:02}.png", *pose)
+    out = tmp_path / "r1.toml"
+    with pytest.raises(ConfigError, match=why):
+        calibrate_camera(tmp_path, 9, 6, 25.0, out, QUIET)
+    assert not out.exists()
+
+
+def test_what_is_said_of_its_errors_is_what_they_are(folder: Path) -> None:
+    """Against the scatter of fits to corners with noise."""
+    board = np.zeros((54, 3), np.float32)
+    board[:, :2] = 25.0 * np.mgrid[0:9, 0:6].T.reshape(-1, 2)
+    K, straight = np.array([[F, 0, CX], [0, F, CY], [0, 0, 1]]), np.zeros(5)
+    turns = [np.array([[t], [u], [0.1]]) for t in (-0.4, 0.0, 0.4) for u in (-0.4, 0.3)]
+    places = [np.array([[-100.0], [-60.0], [450.0 + 20 * k]]) for k in range(6)]
+    corners = [cv2.projectPoints(board, t, p, K, straight)[0] for t, p in zip(turns, places, strict=True)]
+    flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_ASPECT_RATIO
+    flags |= cv2.CALIB_USE_INTRINSIC_GUESS
+    found = []
+    for _ in range(60):
+        noisy = [(c + RNG.normal(0.0, 0.2, c.shape)).astype(np.float32) for c in corners]
+        _, matrix, *_ = cv2.calibrateCamera([board] * 6, noisy, (640, 480), K.copy(), straight.copy(), flags=flags)
+        found.append((matrix[0, 0], matrix[0, 2], matrix[1, 2]))
+    said = 0.2 * unit_sigma(board, K, straight, turns, places)[:3]
+    assert np.std(found, axis=0) == pytest.approx(said, rel=0.35)

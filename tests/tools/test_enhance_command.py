@@ -14,6 +14,7 @@ from agent.perception.enhancement.enhance import WEIGHTS
 from agent.tools import enhance as enhance_source
 from agent.tools import evaluate_enhance as enhance_evaluate
 from agent.tools.enhance import pictures
+from hw.camera.files import VideoCamera
 
 PICTURE = np.random.default_rng(1).integers(30, 200, (40, 60, 3), dtype=np.uint8)
 
@@ -81,7 +82,7 @@ def test_16_bits_are_scaled_by_their_largest_value(tmp_path):
     (["text.avi"], "text.avi: not a video"),
     (["usb:1"], "no such kind of camera"),
     (["stack:empty"], "positions.csv"),
-    (["a.png", "--out", "text.png"], "text.png: is there already, and is no folder; give --out a new folder"),
+    (["a.png", "--out", "text.png"], "text.png: is there already, and nothing is overwritten; give --out another name"),
     (["a.png", "--out", "/proc/enhanced"], "--out /proc/enhanced"),
     (["a.png", "--variant", "best"], "'--variant': 'best' is not one of 'plain', 'folded', 'fast'"),
     (["a.png", "--variant", "classic", "--evaluate", "empty", "empty"], "either a SOURCE or --evaluate"),
@@ -212,3 +213,84 @@ def test_evaluation_without_pairs(tmp_path):
         write(tmp_path / name / f"{name}.png")
     with pytest.raises(ConfigError, match="no two pictures of the same name"):
         enhance_evaluate.run(tmp_path / "raw", tmp_path / "reference", "classic", None, "own", Console(quiet=True))
+
+
+# --- films ---
+
+SMOOTH = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (96, 128, 3), np.uint8), (0, 0), 2)
+
+
+def filmed(path, shifts):
+    """A film of SMOOTH, shifted by so many pixels in each frame."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (128, 96))
+    for shift in shifts:
+        writer.write(np.roll(SMOOTH, shift, axis=1))
+    writer.release()
+    return path
+
+
+def walked(path):
+    found = pictures(str(path), None)
+    return found, list(found.each)
+
+
+def test_a_film_that_was_cut_off_is_named_with_how_far_it_came(tmp_path):
+    film = filmed(tmp_path / "film.avi", range(40))
+    whole, frames = walked(film)
+    assert len(frames) == 40 and not whole.problems and not whole.notes
+    assert [frame.t_s for frame in frames[:3]] == pytest.approx([0.0, 1 / 30, 2 / 30], abs=1e-3)
+    data = film.read_bytes()
+    film.write_bytes(data[: len(data) // 2])
+    cut, frames = walked(film)
+    assert 10 < len(frames) < 25
+    assert cut.problems == [f"{film}: ends after {len(frames)} of 40 frames; it was cut off, copy or convert it again"]
+
+
+def test_frames_that_do_not_change_are_noticed(tmp_path):
+    hung, _ = walked(filmed(tmp_path / "hung.avi", [*range(8), *[8] * 12, *range(9, 14)]))
+    assert hung.notes == [f"{tmp_path / 'hung.avi'}: frames 8 to 19 are the same picture"] and not hung.problems
+    stale, _ = walked(filmed(tmp_path / "stale.avi", [0] * 15))
+    assert stale.problems[0].startswith(f"{tmp_path / 'stale.avi'}: all 15 frames are the same picture; if it is inter")
+    few, _ = walked(filmed(tmp_path / "few.avi", [0] * 5))
+    assert not few.problems and not few.notes
+
+
+def test_a_stream_without_times_has_none(tmp_path, monkeypatch):
+    """As a raw stream of H.264, of which OpenCV says that each frame is at 0."""
+    film = filmed(tmp_path / "film.avi", range(4))
+    read = VideoCamera.read
+    monkeypatch.setattr(VideoCamera, "read", lambda self, **how: read(self, **how)._replace(t_ns=0))
+    found, frames = walked(film)
+    assert [frame.t_s for frame in frames] == [None] * 4
+    assert found.notes == [f"{film}: its frames have no times, so that t_s is left empty; convert it to MP4"]
+
+
+def test_a_picture_is_turned_as_a_viewer_turns_it(tmp_path):
+    """What is written has no EXIF any more."""
+    exif = b"Exif\0\0II*\0\x08\0\0\0\x01\0\x12\x01\3\0\1\0\0\0\6\0\0\0\0\0\0\0"
+    data = cv2.imencode(".jpg", SMOOTH)[1].tobytes()
+    head = b"\xff\xe1" + (len(exif) + 2).to_bytes(2, "big") + exif
+    (tmp_path / "a.jpg").write_bytes(data[:2] + head + data[2:])
+    enhance(tmp_path / "a.jpg", tmp_path / "out")
+    assert cv2.imread(str(tmp_path / "out" / "a.png")).shape == (128, 96, 3)
+    assert next(pictures(str(tmp_path / "a.jpg"), None).each).image.shape == (96, 128, 3)
+
+
+def test_one_picture_of_another_kind_is_no_film(tmp_path):
+    (tmp_path / "a.gif").write_bytes(b"GIF89a" + bytes(40))
+    with pytest.raises(ConfigError, match=r"a\.gif: is GIF, which is not read; convert it to PNG or JPEG"):
+        pictures(str(tmp_path / "a.gif"), None)
+
+
+def test_one_picture_may_be_given_its_name(tmp_path):
+    assert enhance(write(tmp_path / "a.png", PICTURE), tmp_path / "clear.png") == 0
+    assert cv2.imread(str(tmp_path / "clear.png")).shape == PICTURE.shape
+    (tmp_path / "two").mkdir()
+    for name in "ab":
+        write(tmp_path / "two" / f"{name}.png", PICTURE)
+    for source, out in ((tmp_path / "two", "x.png"), (tmp_path / "a.png", "x.jpg"), (tmp_path / "a.png", "x.mp4")):
+        with pytest.raises(ConfigError, match=f"--out .*{out}: is the name of one picture; give a folder"):
+            enhance(source, tmp_path / out)
+        assert not (tmp_path / out).exists()
+    with pytest.raises(ConfigError, match="is there already, and nothing is overwritten"):
+        enhance(tmp_path / "a.png", tmp_path / "clear.png")

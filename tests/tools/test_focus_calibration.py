@@ -362,3 +362,63 @@ def test_tilted_rows_tell_the_sag_and_leave_the_curve_alone(tmp_path: Path) -> N
     assert both.sag == pytest.approx(5.0, abs=0.01) and plain.sag_sigma is None
     assert (both.u_inf_m, both.b_m, both.rho0) == (plain.u_inf_m, plain.b_m, plain.rho0)
     assert "sag =" in (tmp_path / "both.toml").read_text() and "sag_sigma" not in (tmp_path / "level.toml").read_text()
+
+
+# --- tables as people write them ---
+
+
+def peaks(scale: float = 1.0, mark: str = ",", comma: str = ".") -> str:
+    """A good table: millimetres times `scale`."""
+    cells = ((f"{1e3 * u * scale:g}", f"{102 + 136 / (u + 0.001):.2f}") for u in DISTANCES_M)
+    return "\n".join([f"u_mm{mark}code", *(mark.join(pair).replace(".", comma) for pair in cells)])
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize(("mark", "comma"), [(",", "."), (";", "."), (";", ","), ("\t", ",")])
+def test_spreadsheets_of_all_countries_are_read(tmp_path: Path, encoding: str, mark: str, comma: str) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(peaks(), encoding="utf-8")
+    wanted = read_table(path)
+    path.write_text(peaks(mark=mark, comma=comma), encoding=encoding)
+    assert read_table(path) == wanted
+
+
+def test_peaks_that_do_not_determine_a_curve_are_refused(tmp_path: Path) -> None:
+    """An arc that is nearly a straight line, and peaks that scatter by a tenth of it."""
+    rng, path = np.random.default_rng(2), tmp_path / "table.csv"
+    far = [(u, 102 + 136 / (u + 0.001) + rng.normal(0.0, 12.0)) for u in np.linspace(0.35, 1.4, 7)]
+    path.write_text("\n".join(["u_mm,code", *(f"{1e3 * u:.0f},{rho:.2f}" for u, rho in far)]))
+    with pytest.raises(ConfigError, match=r"determine a range of 1\.40 m to \d+ % only, and 10 % is needed"):
+        run(path, tmp_path / "r1.toml", Console(quiet=True))
+    assert [file.name for file in tmp_path.iterdir()] == ["table.csv"]
+
+
+def test_a_name_of_two_lines_is_told_in_one(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text('u_mm,code,"co\nlour"\n100,2,red\n')
+    with pytest.raises(ConfigError, match=r"unknown column 'co\?lour'"):
+        read_table(path)
+
+
+def test_decimal_commas_between_commas_are_a_line_of_too_many_cells(tmp_path: Path) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(peaks(comma=","))
+    with pytest.raises(ConfigError, match=r"line 2 has \d cells, and there are 2 columns"):
+        read_table(path)
+
+
+@pytest.mark.parametrize(
+    ("scale", "says"),
+    [
+        (1e-3, r"0\.00022 to 0\.0012 m are no distances of a board; is u_mm in metres\? correct the column"),
+        (1 / 25.4, "is u_mm in inches or centimetres"),
+        (0.1, "is u_mm in inches or centimetres"),
+        (1e3, "2.2e\\+02 to 1.2e\\+03 m are no distances of a board; u_mm is in millimetres; correct"),
+    ],
+)
+def test_another_unit_is_named_and_nothing_written(tmp_path: Path, scale: float, says: str) -> None:
+    path = tmp_path / "table.csv"
+    path.write_text(peaks(scale))
+    with pytest.raises(ConfigError, match=says):
+        run(path, tmp_path / "r1.toml", Console(quiet=True))
+    assert [file.name for file in tmp_path.iterdir()] == ["table.csv"]

@@ -8,7 +8,7 @@ from rich.console import Console
 
 from agent.core.config import ConfigError, read_toml
 from agent.core.ranging.camera_model import CameraFit
-from agent.tools.camera_calibration import calibrate_gamma, gamma_of_folder
+from agent.tools.camera_calibration import Photographs, calibrate_gamma, gamma_of_folder
 from tests.perception.printed import WALL, photograph, tag_light, turned
 
 CAMERA = CameraFit(width_px=480, height_px=400, f_px=1184.0, cx_px=239.5, cy_px=199.5, bend=0.39)
@@ -39,7 +39,7 @@ def taken(light, tmp_path):
     ("gamma", "noise", "off"), [(1.0, 0.0, 0.05), (1.8, 0.0, 0.05), (2.6, 0.0, 0.06), (2.2, 0.02, 0.12)]
 )
 def test_gamma_is_found_whatever_the_blur(taken, gamma, noise, off):
-    fit = gamma_of_folder(taken(gamma, noise=noise), lambda done, total: None)
+    fit = gamma_of_folder(Photographs(taken(gamma, noise=noise)), lambda done, total: None)
     assert fit.gamma == pytest.approx(gamma, abs=off)
     assert fit.tags >= 8 and fit.pictures == 5
     assert 3.0 <= fit.blur_px[0] < fit.blur_px[1] < 9.0
@@ -48,7 +48,7 @@ def test_gamma_is_found_whatever_the_blur(taken, gamma, noise, off):
 def test_sharp_and_burnt_out_tags_say_nothing(taken):
     for folder in (taken(2.2, blurs_px=(0.0, 0.0)), taken(2.2, scale=1.5)):
         with pytest.raises(ConfigError, match="0 tags are blurred"):
-            gamma_of_folder(folder, lambda done, total: None)
+            gamma_of_folder(Photographs(folder), lambda done, total: None)
 
 
 def test_it_goes_into_the_camera_of_a_calibration_and_nowhere_else(taken, tmp_path):

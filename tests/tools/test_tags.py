@@ -125,3 +125,14 @@ def test_mistakes(arguments, expected, folder, tmp_path, monkeypatch, capsys):
     said = capsys.readouterr()
     (line,) = said.err.strip().splitlines()
     assert ended.value.code == 2 and line.startswith("aucamp: ") and expected in line and said.out == ""
+
+
+def test_what_cannot_be_read_is_named_and_ends_with_exit_1(folder, capsys):
+    (folder / "d.jpg").write_bytes(b"")
+    (folder / "e.heic").write_bytes(b"\0\0\0\x18ftypheic")
+    lines = []
+    assert not run(str(folder), Asked(), lines.append)
+    assert {line.split(",")[2] for line in lines[1:]} == {"0", "3"}
+    said = capsys.readouterr().err
+    assert "d.jpg: not an image that OpenCV can read (it is empty)" in said
+    assert "e.heic: is HEIC, which is not read; convert it to PNG or JPEG" in said

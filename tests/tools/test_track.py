@@ -190,3 +190,16 @@ def test_a_table_of_another_source(tmp_path):
         run(str(tmp_path), Asked(truth=late), lambda line: None)
     with pytest.raises(ConfigError, match="say what to follow"):
         run(str(tmp_path), Asked(), lambda line: None)
+
+
+def test_a_film_that_was_cut_off_ends_with_exit_1(tmp_path, capsys):
+    film, frames = tmp_path / "film.avi", list(clip(6))
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30, (480, 360))
+    for image, _ in frames:
+        writer.write(image)
+    writer.release()
+    data = film.read_bytes()
+    film.write_bytes(data[: len(data) * 3 // 4])
+    lines = []
+    assert not run(str(film), Asked(text(frames[0][1])), lines.append)
+    assert f"ends after {len(lines) - 1} of 6 frames" in capsys.readouterr().err

@@ -7,6 +7,7 @@ any other does not reach us.
 
 from __future__ import annotations
 
+import errno
 import math
 import socket
 from collections.abc import Callable, Iterable, Iterator
@@ -224,8 +225,8 @@ def answers(all_of_it: Parameters, message: Any) -> Iterator[Any]:
 # --- gateway ---
 # Between a fleet and a ground station: what each robot shows becomes its vehicle's messages, and commands orders.
 #
-# Each robot is a system of its own, by its place in the fleet file, from 1 on. Nothing here opens a socket or looks
-# at a clock.
+# Each robot is a system of its own, by its place in the fleet file, from the first number on that it is given. Nothing
+# here opens a socket or looks at a clock.
 
 MOST_SYSTEMS = 250  # ground stations are 255, and other programs about them 254 and so on
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
@@ -233,6 +234,7 @@ BEAT_NS = 1_000_000_000
 BEATS_AN_ORIGIN = 5
 MOST_UNDER_WAY = 64  # orders that wait for an answer; and as many that are urgent
 READS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
+TAKEN_NS = 5_000_000_000  # a stranger's heartbeat with a robot's number is minded for so long
 READ_ONLY = "this bridge only looks; to order, start it with --as NAME"
 
 Done = Callable[[Outcome], None]
@@ -250,12 +252,22 @@ class _Asked(NamedTuple):
 
 
 class Gateway:
-    """`send` takes the bytes of one message; `give`: None where nobody may order."""
+    """`send` takes the bytes of one message; `give`: None where nobody may order.
 
-    def __init__(self, fleet: Fleet, origin: Origin, send: Callable[[bytes], None], give: Give | None = None) -> None:
-        if len(fleet.robot) > MOST_SYSTEMS:
-            raise ConfigError(f"fleet '{fleet.fleet}': MAVLink knows {MOST_SYSTEMS} vehicles at most")
-        self.systems = {robot: number for number, robot in enumerate(fleet.robot, start=1)}
+    While somebody else says that it is a robot's system, that robot takes no orders but those that end something: a
+    ground station cannot know which of the two it arms.
+    """
+
+    def __init__(
+        self,
+        fleet: Fleet,
+        origin: Origin,
+        send: Callable[[bytes], None],
+        give: Give | None = None,
+        first_system: int = 1,
+    ) -> None:
+        self.systems = numbered(fleet, first_system)
+        self._taken_ns: dict[str, int] = {}  # when a stranger last said to be this robot
         self._fleet, self._origin, self._send, self._give = fleet, origin, send, give
         self._writers = {robot: mavlink.MAVLink(None, number, COMPONENT) for robot, number in self.systems.items()}
         self._parameters = {robot: parameters(fleet, robot, number) for robot, number in self.systems.items()}
@@ -296,6 +308,9 @@ class Gateway:
 
     def heard(self, message: Any, now_ns: int, wall_ns: int) -> None:
         """One message of a ground station. What is for nobody here, or not understood, is passed over."""
+        if message.get_type() == "HEARTBEAT":
+            self._stranger(message, wall_ns)
+            return
         kind, target = message.get_type(), getattr(message, "target_system", None)
         if getattr(message, "target_component", 0) not in (0, COMPONENT):
             return
@@ -305,7 +320,7 @@ class Gateway:
             if kind in COMMANDS and (number := _wants(message)) is not None:
                 self._request(robot, message, number, now_ns, wall_ns)
             elif kind in ORDERS:
-                self._order(robot, message)
+                self._order(robot, message, wall_ns)
             elif kind in READS:
                 self._tell(robot, answers(self._parameters[robot], message))
             elif kind == "MISSION_REQUEST_LIST":
@@ -313,9 +328,24 @@ class Gateway:
                 kind_of = getattr(message, "mission_type", 0)
                 self._tell(robot, (mavlink.MAVLink_mission_count_message(*sender, 0, kind_of),))
 
-    def _order(self, robot: str, message: Any) -> None:
+    def _stranger(self, message: Any, wall_ns: int) -> None:
+        """A heartbeat, which none of ours is: nobody sends us what we sent."""
+        for robot, system in self.systems.items():
+            if message.get_srcSystem() == system:
+                if not self._is_taken(robot, wall_ns):
+                    self._warn(robot, f"another vehicle is system {system} too: no orders; see --first-system")
+                self._taken_ns[robot] = wall_ns
+
+    def _is_taken(self, robot: str, wall_ns: int) -> bool:
+        since_ns = self._taken_ns.get(robot)
+        return since_ns is not None and wall_ns - since_ns < TAKEN_NS
+
+    def _order(self, robot: str, message: Any, wall_ns: int) -> None:
         what = asked(message)
         sender = message.get_srcSystem(), message.get_srcComponent()
+        if isinstance(what, Act) and what.verb not in URGENT and self._is_taken(robot, wall_ns):
+            why = f"another vehicle is system {self.systems[robot]} too; start a bridge with another --first-system"
+            what = No(what.command, mavlink.MAV_RESULT_DENIED, why)
         if isinstance(what, Act) and self._give is None:
             what = No(what.command, mavlink.MAV_RESULT_DENIED, READ_ONLY)
         if isinstance(what, No):
@@ -380,6 +410,15 @@ class Gateway:
             writer.seq = (writer.seq + 1) % 256
 
 
+def numbered(fleet: Fleet, first_system: int) -> dict[str, int]:
+    """The system of each robot. Raises ConfigError where there are not so many."""
+    last = first_system + len(fleet.robot) - 1
+    if last > MOST_SYSTEMS:
+        text = f"fleet '{fleet.fleet}': MAVLink knows vehicles up to {MOST_SYSTEMS}, and the last robot would be {last}"
+        raise ConfigError(f"{text}; give a smaller --first-system")
+    return {robot: number for number, robot in enumerate(fleet.robot, start=first_system)}
+
+
 def _wants(message: Any) -> int | None:
     """The number of the message that is asked for; None: it is no such question."""
     if message.command == mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
@@ -394,6 +433,7 @@ def _wants(message: Any) -> int | None:
 HOST = "127.0.0.1"
 PERIOD_S = 0.02  # between two looks at what robots have said
 DATAGRAM = 2**16  # bytes
+LISTEN_S = 1.2  # before the first word, where no ground station is there yet: vehicles say each second who they are
 
 
 def run(
@@ -404,11 +444,16 @@ def run(
     origin: Origin,
     stop: Event,
     say: Callable[[str], None],
+    first_system: int = 1,
 ) -> None:
-    """Until `stop` is set. Raises ConfigError where this name may not look, or not order."""
+    """Until `stop` is set. Raises ConfigError where this name may not look, or not order, and where another vehicle has
+    the number of one of these."""
     name = console or LOOKER
+    systems = numbered(fleet, first_system)
     keys, clock = credentials(fleet, name, fleet_path), fleet_clock(fleet)
     with ExitStack() as stack:
+        stack.enter_context(_held(port, systems))
+        _listen(port, systems, stop)
         give = None
         if console is not None:
             give = stack.enter_context(_ordering(stack.enter_context(OrderConsole(fleet, console, keys))))
@@ -420,10 +465,10 @@ def run(
             with suppress(OSError):  # no ground station is there yet
                 link.send(data)
 
-        gateway = Gateway(fleet, origin, send, give)
+        gateway = Gateway(fleet, origin, send, give, first_system)
         observer = stack.enter_context(Observer(fleet, clock.now_ns, (STATE, LOG), name, keys))
-        systems = ", ".join(f"{robot} is system {number}" for robot, number in gateway.systems.items())
-        say(f"to udp://{HOST}:{port}, where a ground station of this machine listens: {systems}; Ctrl-C ends it")
+        said = ", ".join(f"{robot} is system {number}" for robot, number in systems.items())
+        say(f"to udp://{HOST}:{port}, where a ground station of this machine listens: {said}; Ctrl-C ends it")
         reader = mavlink.MAVLink(None)
         reader.robust_parsing = True
         while not stop.is_set():
@@ -433,6 +478,52 @@ def run(
                 if isinstance(shown := own_word(received), State | LogLine):
                     gateway.shown(shown, received.arrived_ns, machine.monotonic_ns())
             gateway.tick(clock.now_ns(), machine.monotonic_ns())
+
+
+@contextmanager
+def _held(port: int, systems: dict[str, int]) -> Iterator[None]:
+    """Hold the numbers of these vehicles at this port against other bridges of this machine, for as long as they live.
+
+    By names of Linux's abstract sockets, which the kernel takes back from who dies. Raises ConfigError.
+    """
+    with ExitStack() as stack:
+        for robot, number in systems.items():
+            name = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+            try:
+                name.bind(f"\0aucamp mavlink {port} {number}")
+            except OSError as error:
+                if error.errno == errno.EADDRINUSE:
+                    raise ConfigError(_taken(robot, number, "another bridge of this machine", len(systems))) from None
+        yield
+
+
+def _taken(robot: str, number: int, whose: str, many: int) -> str:
+    other = number + many if number + 2 * many - 1 <= MOST_SYSTEMS else 1
+    return (
+        f"{robot} would be system {number}, which {whose} has, and a ground station would take the two for one; "
+        f"give another --first-system, such as {other}"
+    )
+
+
+def _listen(port: int, systems: dict[str, int], stop: Event) -> None:
+    """Hear who is there, before anything is said. Raises ConfigError for a vehicle with the number of one of these.
+
+    Where a ground station has the port, it alone hears them; if it passes heartbeats on, the gateway minds them.
+    """
+    reader = mavlink.MAVLink(None)
+    reader.robust_parsing = True
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
+        try:
+            ear.bind((HOST, port))
+        except OSError:
+            return
+        ear.settimeout(PERIOD_S)
+        end_s = machine.monotonic_s() + LISTEN_S
+        while machine.monotonic_s() < end_s and not stop.is_set():
+            for message in _arrived(ear, reader, stop):
+                for robot, number in systems.items():
+                    if message.get_type() == "HEARTBEAT" and message.get_srcSystem() == number:
+                        raise ConfigError(_taken(robot, number, "another vehicle", len(systems)))
 
 
 def _arrived(link: socket.socket, reader: Any, stop: Event) -> list[Any]:

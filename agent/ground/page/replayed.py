@@ -24,8 +24,8 @@ from agent.core.topics import Topic
 from agent.ground.page.rows import CAME, KEPT, LINES, SELDOM_NS, Board, Rows, text
 from replay.check.reexecute import recordings
 from replay.files.channels import network_topic
+from replay.files.info import suspecting
 from replay.files.log import read
-from replay.files.mcap_walk import suspecting
 from replay.report.timeline import open_fleet_file, open_run, surveyed
 
 # --- a recording laid out ---
@@ -141,6 +141,7 @@ class Replayed:
         self._first_ns, self._last_ns = reel.times_ns[0], reel.times_ns[-1]
         self._at_ns, self._speed, self._paused = self._first_ns, 1.0, False
         self._said_s = 0.0
+        self._opened = False  # until a page is, it waits at its beginning
 
     async def run(self, stop: Event) -> None:
         """Until `stop` is set."""
@@ -149,7 +150,8 @@ class Replayed:
         while not stop.is_set():
             await asyncio.sleep(PERIOD_S)
             now_s = machine.monotonic_s()
-            if not self._paused:
+            self._opened = self._opened or self._board.watched
+            if self._opened and not self._paused:
                 self._advance(round((now_s - before_s) * self._speed * 1e9))
             before_s = now_s
             if now_s - self._said_s >= CLOCK_S:
@@ -161,6 +163,7 @@ class Replayed:
             play = msgspec.convert(message.get("play"), Play)
         except msgspec.ValidationError:
             return
+        self._opened = True
         if play.speed is not None:
             self._speed = min(max(play.speed, SLOWEST), FASTEST)
         if play.at_ms is not None:

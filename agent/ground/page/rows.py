@@ -235,6 +235,11 @@ class Board:
         self._viewers.add(viewer)
         return viewer
 
+    @property
+    def watched(self) -> bool:
+        """Whether a page is open."""
+        return bool(self._viewers)
+
     def leave(self, viewer: Viewer) -> None:
         self._viewers.discard(viewer)
 

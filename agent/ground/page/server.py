@@ -29,7 +29,7 @@ import msgspec
 from agent.capabilities.light.allocate import FULL_V
 from agent.clock.clock import Clock
 from agent.core.codec import prepare
-from agent.core.config import ConfigError, Fleet, Target, inside
+from agent.core.config import ConfigError, Fleet, Target, inside, to_install
 from agent.core.ranging.camera_model import load_calibration
 from agent.core.verbs import VERBS
 from agent.ground.console import NEAR_V, SURFACES_V, OrderConsole
@@ -87,7 +87,7 @@ def websockets_or_why() -> Iterator[None]:
     try:
         yield
     except ImportError:
-        raise ConfigError("the page needs the extra `page`; in your clone: pip install -e '.[page]'") from None
+        raise ConfigError(f"the page needs the extra `page`; {to_install('page')}") from None
 
 
 def quiet() -> logging.Logger:

@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.clock import machine
-from agent.core.config import ConfigError
+from agent.core.config import ConfigError, to_install
 from hw.camera.camera import Frame
 from hw.compiled import compiled
 
@@ -314,7 +314,7 @@ def choose(
 def missing(weights: Path | None) -> str | None:
     """What the network lacks on this machine, in words."""
     if find_spec("torch") is None or find_spec("safetensors") is None:
-        return "torch or safetensors is not installed (in your clone: pip install -e '.[enhance]')"
+        return f"torch or safetensors is not installed ({to_install('enhance')})"
     if weights is None and not shipped_weights().is_file():
         return "no weights are shipped with this version (give some with --weights)"
     return None

@@ -26,17 +26,18 @@ HERE = Origin(10.0, 20.0)
 class Station:
     """A ground station without a socket; robots answer when the test says so."""
 
-    def __init__(self, fleet: Fleet, orders: bool = True) -> None:
+    def __init__(self, fleet: Fleet, orders: bool = True, first_system: int = 1) -> None:
         self.given: list[tuple[str, str, Done]] = []
         self.sent: list[bytes] = []
         give = (lambda robot, verb, done: self.given.append((robot, verb, done))) if orders else None
-        self.gateway = Gateway(fleet, HERE, self.sent.append, give)
+        self.gateway = Gateway(fleet, HERE, self.sent.append, give, first_system)
         self._reader, self._writer = mavlink.MAVLink(None), mavlink.MAVLink(None, 255, 190)
 
-    def says(self, message: Any) -> None:
-        """As it goes over the wire, to and fro."""
-        for heard in mavlink.MAVLink(None).parse_buffer(message.pack(self._writer)):
-            self.gateway.heard(heard, START_NS, START_NS)
+    def says(self, message: Any, system: int | None = None, now_ns: int = START_NS) -> None:
+        """As it goes over the wire, to and fro. system: of another vehicle whose word a station passes on."""
+        writer = self._writer if system is None else mavlink.MAVLink(None, system, 1)
+        for heard in mavlink.MAVLink(None).parse_buffer(message.pack(writer)):
+            self.gateway.heard(heard, now_ns, now_ns)
 
     def command(self, system: int, command: int, *values: float, component: int = 1) -> None:
         self.says(mavlink.MAVLink_command_long_message(system, component, command, 0, *(*values, *(0.0,) * 7)[:7]))

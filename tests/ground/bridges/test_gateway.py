@@ -1,5 +1,7 @@
 """A fleet as vehicles: what is sent, when nothing is, and which order comes of which command. Read by pymavlink."""
 
+import socket
+from threading import Event, Thread
 from typing import Any
 
 import pytest
@@ -10,7 +12,7 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import LogLine
-from agent.ground.bridges.mavlink import MOST_SYSTEMS, READ_ONLY
+from agent.ground.bridges.mavlink import MOST_SYSTEMS, READ_ONLY, _held, _listen, numbered
 from agent.ground.console import Outcome
 from tests.ground.bridges.states import START_NS, S, state
 from tests.ground.bridges.station import ACCEPTED, ARM, DENIED, MODE, REQUEST, UNSUPPORTED, Station, answer
@@ -249,5 +251,80 @@ def test_a_line_of_the_log_comes_whole(station: Station, text: str) -> None:
 
 def test_more_robots_than_there_are_numbers(fleet: Fleet) -> None:
     many = {f"r{number}": fleet.robot["r1"] for number in range(MOST_SYSTEMS + 1)}
-    with pytest.raises(ConfigError, match="250 vehicles at most"):
+    with pytest.raises(
+        ConfigError, match="vehicles up to 250, and the last robot would be 251; give a smaller --first-system"
+    ):
         Station(replace(fleet, robot=many))
+
+
+# --- two fleets before one ground station ---
+
+BEAT = mavlink.MAVLink_heartbeat_message(12, 3, 0, 0, 4, 3)
+
+
+def test_a_second_fleet_has_numbers_of_its_own(fleet: Fleet) -> None:
+    station = Station(fleet, first_system=11)
+    station.gateway.shown(state("r1"), START_NS, START_NS)
+    station.gateway.tick(START_NS, START_NS)
+    assert [system for system, _ in station.hears("HEARTBEAT")] == [11]
+    station.command(1, ARM, 1.0)
+    assert station.orders() == []
+    station.command(11, ARM, 1.0)
+    assert station.orders() == [("r1", "arm")]
+
+
+def test_who_shares_its_number_is_not_armed_and_may_be_stopped(station: Station) -> None:
+    station.says(BEAT, system=1)
+    station.command(1, ARM, 1.0)
+    station.command(2, ARM, 1.0)
+    assert station.orders() == [("r2", "arm")]
+    assert station.acks() == [(1, ARM, DENIED)]
+    station.command(1, ARM, 0.0)
+    assert station.orders()[1:] == [("r1", "disarm")]
+
+
+def test_a_shared_number_is_said_once_and_minded_for_five_seconds(station: Station) -> None:
+    for second in range(3):
+        station.says(BEAT, system=1, now_ns=START_NS + second * S)
+    said = [one.text for system, one in station.hears("STATUSTEXT") if system == 1]
+    assert "".join(said).startswith("another vehicle is system 1 too: no orders; see --first-system")
+    assert len(said) == 2  # of 50 letters each
+    arm = mavlink.MAVLink_command_long_message(1, 1, ARM, 0, 1.0, 0, 0, 0, 0, 0, 0)
+    station.says(arm, now_ns=START_NS + 6 * S)
+    assert station.orders() == []
+    station.says(arm, now_ns=START_NS + 8 * S)
+    assert station.orders() == [("r1", "arm")]
+
+
+def test_two_bridges_of_one_machine_cannot_have_one_number(fleet: Fleet) -> None:
+    with _held(14999, numbered(fleet, 1)):
+        last = len(fleet.robot)
+        with pytest.raises(ConfigError, match=f"r1 would be system {last}, which another bridge of this machine has"):
+            _held(14999, numbered(fleet, last)).__enter__()
+        with _held(14999, numbered(fleet, 11)), _held(15001, numbered(fleet, 1)):
+            pass
+    with _held(14999, numbered(fleet, 1)):
+        pass
+
+
+def test_a_bridge_listens_before_it_speaks(fleet: Fleet) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other:
+        other.bind(("127.0.0.1", 0))
+        port = other.getsockname()[1]
+        _listen(port, numbered(fleet, 1), Event())  # a ground station has the port: it hears what we cannot
+    stop, found = Event(), []
+
+    def listen() -> None:
+        try:
+            _listen(port, numbered(fleet, 1), stop)
+        except ConfigError as error:
+            found.append(str(error))
+
+    thread = Thread(target=listen)
+    thread.start()
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as vehicle:
+        while thread.is_alive():
+            vehicle.sendto(BEAT.pack(mavlink.MAVLink(None, 2, 1)), ("127.0.0.1", port))
+            thread.join(0.01)
+    assert "r2 would be system 2, which another vehicle has" in found[0]
+    assert "give another --first-system, such as" in found[0]

@@ -94,6 +94,25 @@ def test_what_was_newest_at_a_time_is_shown_with_the_lines_and_the_way_there(ree
     assert len(shown(board)["lines"]["lines"]) == 1
 
 
+def test_it_waits_at_its_beginning_until_a_page_is_open(reel) -> None:
+    board = Board()
+    replayed = Replayed(reel, board)
+
+    async def plays() -> None:
+        stop = Event()
+        running = asyncio.create_task(replayed.run(stop))
+        await asyncio.sleep(0.3)
+        assert shown(board)["clock"]["now_ms"] == pytest.approx(NOW_NS * 1e-6)
+        viewer = board.join()
+        while shown(board)["clock"]["now_ms"] < (NOW_NS + S // 10) * 1e-6:
+            await asyncio.sleep(0.05)
+        board.leave(viewer)
+        stop.set()
+        await running
+
+    asyncio.run(plays())
+
+
 def test_it_goes_on_by_itself_faster_or_not_at_all(reel) -> None:
     board = Board()
     replayed = Replayed(reel, board)

@@ -286,9 +286,29 @@ def test_positions_that_cannot_be_used(stack, text, says):
     assert says in str(caught.value) and "\n" not in str(caught.value)
 
 
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16"])
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_positions_as_editors_and_spreadsheets_write_them(stack, encoding, mark):
+    path = stack / "positions.csv"
+    wanted = open_stack(stack).positions
+    lines = [line.split(",") for line in path.read_text().splitlines()]
+    if mark != ",":
+        lines[1:] = [[name, position.replace(".", ",")] for name, position in lines[1:]]
+    path.write_text("\n".join(mark.join(cells) for cells in lines), encoding=encoding)
+    assert open_stack(stack).positions == wanted
+
+
+def test_a_photograph_has_one_row(stack):
+    path = stack / "positions.csv"
+    name = path.read_text().splitlines()[1].split(",")[0]
+    path.write_text(path.read_text() + f"{name},777\n")
+    with pytest.raises(CameraError, match=f"{name} stands in more than one row; give each row its own photograph"):
+        open_stack(stack)
+
+
 def test_positions_that_are_no_text(stack):
-    (stack / "positions.csv").write_bytes(b"\xff\xfe\x00\x01")
-    with pytest.raises(CameraError, match="cannot be read as CSV"):
+    (stack / "positions.csv").write_bytes(b"\xff\xff\x00\x01")
+    with pytest.raises(CameraError, match="cannot be read as a table"):
         open_stack(stack)
 
 

@@ -16,10 +16,11 @@ from agent.perception.vision import rerun_vision
 from replay.check.check import check
 from replay.check.explain import explain
 from replay.check.vision_check import check_vision
+from replay.files.channels import HashedFile
 from replay.files.frames import Picture, pixels
 from replay.files.info import describe, info
 from replay.files.log import read
-from replay.files.mcap_walk import HashedFile, Tear, records
+from replay.files.mcap_walk import Tear, records
 from replay.files.recover import recover, recover_all
 from replay.report.report import report
 from tests.places import GOLDEN
