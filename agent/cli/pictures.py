@@ -9,7 +9,7 @@ from typing import Annotated, Literal, get_args
 import typer
 
 from agent.core.config import ConfigError, to_install
-from agent.process.command import refuse_options, terminal
+from agent.process.command import complain, refuse_options, terminal
 
 app = typer.Typer()
 
@@ -230,6 +230,9 @@ def calibrate(
         tag_map.run(source, fleet, asked, terminal())
 
 
+SQUARE_MM = (3.0, 200.0)  # of boards in use
+
+
 def as_board(text: str) -> tuple[int, int, float]:
     """COLUMNSxROWSxMM: inner corners along the longer and the shorter side, side of a square. Raises ConfigError."""
     try:
@@ -239,4 +242,6 @@ def as_board(text: str) -> tuple[int, int, float]:
         board = 0, 0, 0.0
     if not (min(board[:2]) >= 3 and 0.1 <= board[2] < math.inf):
         raise ConfigError(f"--board '{text}': write inner corners both ways and mm of a square's side, such as 14x9x20")
+    if not SQUARE_MM[0] <= board[2] <= SQUARE_MM[1]:
+        complain(f"--board '{text}': squares of {board[2]:g} mm are rarely printed; the last number is in millimetres")
     return board

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from agent.cli.pictures import as_board
 from agent.core.config import ConfigError, read_toml
 from agent.tools.camera_calibration import calibrate_camera, unit_sigma
 
@@ -117,3 +118,10 @@ def test_what_is_said_of_its_errors_is_what_they_are(folder: Path) -> None:
         found.append((matrix[0, 0], matrix[0, 2], matrix[1, 2]))
     said = 0.2 * unit_sigma(board, K, straight, turns, places)[:3]
     assert np.std(found, axis=0) == pytest.approx(said, rel=0.35)
+
+
+def test_a_square_in_another_unit_is_a_warning(capsys: pytest.CaptureFixture) -> None:
+    assert as_board("9x6x25") == (9, 6, 25.0)
+    assert capsys.readouterr().err == ""
+    assert as_board("9x6x2.5") == (9, 6, 2.5)
+    assert "squares of 2.5 mm are rarely printed; the last number is in millimetres" in capsys.readouterr().err
