@@ -372,9 +372,10 @@ HIGH = 0.3  # of a creature's length, as a fish; it heads the way it swims: the 
 SHOWN = 0.6  # of its length, which it shows from most sides
 HIDDEN = 0.5  # of what it lacks to what it ought to show: it may be turned, or a stone hides so much at one of its ends
 # Its height is the same from all sides, as long as it swims level: in rendered dives 0.3 lengths, standard deviation of
-# its logarithm 0.25 within 1.1 m, by what is blurred, bends and pitches, and half of it is found beyond; other fish are
-# slimmer, or stouter. What one frame says of the range the next ones do: two seconds of frames count as one.
-HIGH_SIGMA, ALIKE = 0.3, 20.0
+# its logarithm 0.25 within 1.1 m, by what is blurred, bends and pitches; other fish are slimmer, or stouter. Beyond, half
+# of it is found: it seems to be twice as far, and is where a target is found at all (FARTHEST_M). What one frame says of
+# the range the next ones do: a second of frames counts as one.
+HIGH_SIGMA, ALIKE = 0.3, 10.0
 CUT_PX = 4.0  # from the edge of the picture: there may be more of it beyond
 HEADS = 0.5  # of its usual speed: slower, it may face anywhere
 TURNS_RAD = 0.6  # by which it may face elsewhere than it is believed to swim: a track knows of a turn when it is over
@@ -459,4 +460,4 @@ def _height_range_m(outline: Outline, target: Target, camera: CameraFit) -> floa
         return None
     high_px, y_px = outline.size_px[1], outline.centre_px[1]
     whole = y_px - 0.5 * high_px > CUT_PX and y_px + 0.5 * high_px < camera.height_px - CUT_PX
-    return HIGH * target.length_m * camera.f_px / high_px if whole and high_px > 0.0 else None
+    return min(HIGH * target.length_m * camera.f_px / high_px, FARTHEST_M) if whole and high_px > 0.0 else None

@@ -329,10 +329,13 @@ def test_a_creatures_height_says_a_little_of_how_far_it_is_and_nothing_across() 
         along = (THERE - origin) / d
         assert np.array(found.x_m) - origin == pytest.approx(1.3 * d * along, rel=0.01)
         weight = matrix(found.information) - matrix(plain.information)
-        assert weight == pytest.approx(np.outer(along, along) / (0.3**2 * 20 * (1.3 * d) ** 2), abs=0.05)
-    low = outline(here, size_px=(20.0, 0.25 * high_px))  # a fin is all that is found of it: it seems beyond the wall
+        assert weight == pytest.approx(np.outer(along, along) / (0.3**2 * 10 * (1.3 * d) ** 2), abs=0.05)
+    low = outline(here, size_px=(20.0, 0.25 * high_px))  # a fin is all that is found of it
     found = sight_line(SIGHT_LINE_CAMERA, here, low, fish, EXACT, GIMBAL_RAD, None, T_NS, TANK_M)
-    plain = sight_line(SIGHT_LINE_CAMERA, here, low, fish, EXACT, GIMBAL_RAD, None, T_NS, TANK_M, sized=False)
+    assert np.array(found.x_m) - origin == pytest.approx(1.2 * along, rel=0.01), "no target is found farther than that"
+    small_m = (1.2, 1.0, 0.6)
+    found = sight_line(SIGHT_LINE_CAMERA, here, low, fish, EXACT, GIMBAL_RAD, None, T_NS, small_m)
+    plain = sight_line(SIGHT_LINE_CAMERA, here, low, fish, EXACT, GIMBAL_RAD, None, T_NS, small_m, sized=False)
     assert found == plain, "a range that leads out of the tank says nothing; the way across does"
     same = sight_line(
         SIGHT_LINE_CAMERA,
