@@ -372,9 +372,9 @@ HIGH = 0.3  # of a creature's length, as a fish; it heads the way it swims: the 
 SHOWN = 0.6  # of its length, which it shows from most sides
 HIDDEN = 0.5  # of what it lacks to what it ought to show: it may be turned, or a stone hides so much at one of its ends
 # Its height is the same from all sides, as long as it swims level: in rendered dives 0.3 lengths, standard deviation of
-# its logarithm 0.25 within 1.1 m, by what is blurred, bends and pitches; other fish are slimmer, or stouter. Beyond, half
-# of it is found: it seems to be twice as far, and is where a target is found at all (FARTHEST_M). What one frame says of
-# the range the next ones do: a second of frames counts as one.
+# its logarithm 0.25 within 1.1 m, by what is blurred, bends and pitches; other fish are slimmer, or stouter. Beyond,
+# half of it is found: it seems to be twice as far, and is where a target is found at all (FARTHEST_M). What one frame
+# says of the range the next ones do: a second of frames counts as one.
 HIGH_SIGMA, ALIKE = 0.3, 10.0
 CUT_PX = 4.0  # from the edge of the picture: there may be more of it beyond
 HEADS = 0.5  # of its usual speed: slower, it may face anywhere
