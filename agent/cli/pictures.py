@@ -127,14 +127,14 @@ def train(
         import torch
     except ImportError as error:
         raise ConfigError(f"training needs torch: {to_install('train')}") from error
-    from agent.tools import train_enhance
+    from agent.tools import training
 
     torch.set_flush_denormal(True)  # else a vanishing gain costs a hundred times its worth
-    plan = train_enhance.plan_of(steps, seed, start is not None, pairs is not None)
+    plan = training.plan_of(steps, seed, start is not None, pairs is not None)
     if cross_validate is not None and pairs is not None and start is not None:
-        train_enhance.cross_validation(pairs, start, plan, cross_validate, terminal())
+        training.cross_validation(pairs, start, plan, cross_validate, terminal())
     else:
-        train_enhance.train(pairs, out, plan, start, resume, everything, terminal())
+        training.train(pairs, out, plan, start, resume, everything, terminal())
 
 
 # --- calibrate ---

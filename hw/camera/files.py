@@ -7,8 +7,10 @@ the columns file and focus_position (any unit; rows in any order). Setting the f
 from __future__ import annotations
 
 import csv
+import io
 import itertools
 import math
+import re
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import suppress
@@ -20,24 +22,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.clock import machine
-from agent.core.codec import (
+from agent.core.codec import as_text, printable
+from agent.core.config import ConfigError, inside, read_file, write_whole
+from agent.core.picture_head import (
     OTHER_PICTURES,
     PICTURES,
     UPRIGHT,
-    as_text,
     cut_off,
     kind_of,
     orientation,
-    rows,
     several,
     stated_size,
 )
-from agent.core.config import ConfigError, inside, read_file, write_whole
 from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
 
 # --- picture files ---
 
-KINDS = "a PNG, JPEG, BMP, TIFF or WebP"  # codec.PICTURES: their heads can be read before they are decoded
+KINDS = "a PNG, JPEG, BMP, TIFF or WebP"  # picture_head.PICTURES: their heads can be read before they are decoded
 SUFFIXES = (".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp")
 RAW = (".dng", ".nef", ".arw", ".cr2", ".cr3", ".raf", ".orf", ".rw2", ".pef", ".srw")  # inside often a TIFF
 MOST_BYTES = 2**30  # of a picture's file
@@ -166,6 +167,35 @@ def write_picture(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> 
 
 
 # --- tables ---
+
+
+def rows(text: str) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
+    """A table with a line of names: the names, and for each further line its number and its cells by name.
+
+    Cells are parted by what the first line has most of: commas, semicolons or tabs. Where it is no comma, a comma in a
+    number is a decimal one. Raises csv.Error, also for a line of more cells than there are names.
+    """
+    first = next((line for line in text.splitlines() if line.strip()), "")
+    mark = max(",;\t", key=first.count)  # of equals the first
+    reader = csv.reader(io.StringIO(text), delimiter=mark, skipinitialspace=True)
+    names, found = None, list[tuple[int, dict[str, str]]]()
+    for read in reader:
+        cells = [printable(cell) for cell in read]
+        if not any(cell.strip() for cell in cells):
+            continue
+        if names is None:
+            names = [cell.strip() for cell in cells]
+            continue
+        if len(cells) > len(names):
+            raise csv.Error(f"line {reader.line_num} has {len(cells)} cells, and there are {len(names)} columns")
+        cells += [""] * (len(names) - len(cells))
+        if mark != ",":
+            cells = [DECIMAL_COMMA.sub(r"\1.\2", cell) for cell in cells]
+        found.append((reader.line_num, dict(zip(names, cells, strict=True))))
+    return names or [], found
+
+
+DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
 
 
 def read_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:

@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from agent.clock import machine
-from agent.core.codec import stated_size
+from agent.core.picture_head import stated_size
 from hw.camera import v4l2_node as v4l2
 from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
 from hw.camera.v4l2_node import (

@@ -25,9 +25,10 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from msgspec import Meta
 from numpy.typing import NDArray
 
-from agent.core.codec import Refusal, decode, encode, stated_size
+from agent.core.codec import Refusal, decode, encode
 from agent.core.config import ConfigError, writing
 from agent.core.messages import Message
+from agent.core.picture_head import stated_size
 from agent.core.step_io import Sighting
 from replay.files import channels
 from replay.files.channels import Entry, Schema

@@ -41,8 +41,8 @@ from mcap.records import (
     SummaryOffset,
 )
 
-from agent.core.codec import kind_of
 from agent.core.config import ConfigError
+from agent.core.picture_head import kind_of
 from replay.files.channels import BEFORE, attached, is_as_written
 
 # --- audit of the end of a file ---

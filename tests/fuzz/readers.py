@@ -51,7 +51,7 @@ FUZZED: dict[str, tuple[str, ...]] = {
     "page.said": ("agent.ground.page.server:Site._take", "agent.ground.page.server:site.socket"),
     "picture": (
         *(
-            f"agent.core.codec:{name}"
+            f"agent.core.picture_head:{name}"
             for name in ("stated_size", "_jpeg_size", "_png_size", "_tiff_size", "_webp_size", "several", "_turned")
         ),
         "hw.camera.files:read_picture",
@@ -103,9 +103,10 @@ SAFE = {  # a module, or one of its readers
     "agent.process.command:with_pictures": "copies bytes",
     "agent.process.transport:came": "reads a key by topics.chunks, as `samples` do",
     "agent.robot.fleet_reader:with_behaviour": "what who starts it types, read as `fleet` is",
-    "agent.core.codec:_is_preview": "a part of `several`",
+    "replay.report.creature_track:_true_ways": "what the twin wrote, read as `creatures` is",
+    "agent.core.picture_head:_is_preview": "a part of `several`",
     "agent.ground.check:fleet_findings": "looks for words in what `fleet` has read",
-    "agent.core.codec:rows": "a part of `ranges`, `stack` and `truth`",
+    "hw.camera.files:rows": "a part of `ranges`, `stack` and `truth`",
     "agent.tools.focus_calibration:check_file": "looks whether there is a table, by read_toml",
     "agent.tools.tag_map:check_out": "looks whether there is a table, by read_toml",
     "agent.tools.training": "what the same training wrote",

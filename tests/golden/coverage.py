@@ -1,10 +1,10 @@
 """How much of the kernel the golden logs enter: `python -m tests.golden.coverage [--missing]`.
 
-Today's kernel replays every golden log, today's vision sees the golden frames, and the golden fleet files are read, as
-the golden tests do it, while coverage.py notes the lines that are entered. What counts are lines within functions:
-those of a module or a class run when it is imported, and would say nothing. One row a folder, for the files that lie
-directly in it. Exits with 1 if a folder is below LEAST. `--missing` also prints, file by file, the functions' lines
-that no log enters, the longest list first.
+Today's kernel replays every golden log, today's vision sees the golden frames, and the golden fleet files and heads
+of pictures are read, as the golden tests do it, while coverage.py notes the lines that are entered. What counts are
+lines within functions: those of a module or a class run when it is imported, and would say nothing. One row a folder,
+for the files that lie directly in it. Exits with 1 if a folder is below LEAST. `--missing` also prints, file by file,
+the functions' lines that no log enters, the longest list first.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import coverage
 from agent.perception.vision import rerun_vision
 from replay.check.reexecute import open_boxes, reexecute
 from replay.check.vision_check import check_vision
-from tests.golden import fleet_files
+from tests.golden import fleet_files, picture_heads
 from tests.golden.make import SEEN
 from tests.places import GOLDEN, ROOT
 
@@ -73,6 +73,7 @@ def entered() -> list[Entered]:
             reexecute(box)
         check_vision([GOLDEN / SEEN], rerun_vision)
         fleet_files.lines()
+        picture_heads.read()
     found = []
     for path in sorted(path for folder in KERNEL for path in (ROOT / folder).rglob("*.py")):
         _, statements, _, missed, _ = measure.analysis2(str(path))

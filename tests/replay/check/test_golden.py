@@ -3,6 +3,7 @@
 `aucamp replay check tests/golden/CASE --update "reason"` accepts a change that was meant.
 """
 
+import json
 import shutil
 import subprocess
 import sys
@@ -21,7 +22,7 @@ from agent.robot.operator import BROKE
 from replay.check.check import check, text
 from replay.check.reexecute import open_box, open_boxes
 from replay.check.vision_check import check_vision
-from tests.golden import fleet_files, orders, swim
+from tests.golden import fleet_files, orders, picture_heads, swim
 from tests.places import GOLDEN, ROOT
 
 CASES = ("three", "three_evidence", "outage", "liar", "empty", "push", "signed", "lit", "two", "torn", "seen", "survey")
@@ -67,6 +68,22 @@ def test_todays_kernel_does_what_the_golden_logs_say() -> None:
 def test_they_are_small() -> None:
     files = [file for file in GOLDEN.rglob("*") if ".mcap" in file.name]
     assert sum(file.stat().st_size for file in files) < 3.5e6, "each of the kernel's folders takes some"
+
+
+def test_heads_of_pictures_say_what_they_said() -> None:
+    rows = [json.loads(line) for line in picture_heads.FILE.read_text().splitlines()]
+    assert json.loads(json.dumps(picture_heads.read())) == rows
+    assert {row["name"] for row in rows if row["several"]} == {
+        "png animated",
+        "webp animated and turned",
+        "tiff of two pages",
+    }
+    assert {row["name"] for row in rows if row["cut_off"]} == {"jpg cut", "png cut"}
+    assert {row["name"] for row in rows if row["orientation"] == 6} == {
+        "jpg turned",
+        "png turned",
+        "webp animated and turned",
+    }
 
 
 def test_of_fleet_files_is_said_what_was_said() -> None:

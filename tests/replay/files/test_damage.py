@@ -10,8 +10,8 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.core.codec import stated_size
 from agent.core.config import ConfigError
+from agent.core.picture_head import stated_size
 from agent.perception.vision import rerun_vision
 from replay.check.check import check
 from replay.check.explain import explain
