@@ -57,6 +57,22 @@ def test_of_two_the_one_that_murky_water_leaves_first() -> None:
     assert ways(glance(far, near), 2) == [RIGHT, LEFT]
 
 
+def test_beside_a_target_the_picture_shows_landmarks_as_far_as_there_is_room() -> None:
+    """A tag straight ahead is 1.5 m off and 3 degrees wide; the picture reaches 14 degrees up and down."""
+    of, level = glance(on_wall(1, 1.0), on_wall(2, 1.15)), LEVEL
+
+    def aside(tilt_deg: float, most_deg: float) -> float:
+        return of.tilt_aside_deg((0.0, tilt_deg), most_deg, 0.0, HERE, level)
+
+    assert aside(5.0, 6.0) == 0.0, "they are in the picture as it is"
+    below = aside(15.0, 6.0)
+    assert -6.0 < below < -3.0 and 15.0 + below + 1.53 < 14.0, "so much lower that both are whole"
+    assert aside(15.0, 2.0) == 0.0, "not where the target would leave the picture"
+    assert aside(25.0, 6.0) == 0.0, "nor where it would not help"
+    assert aside(15.0, 0.0) == 0.0
+    assert glance(on_wall(1, 3.0)).tilt_aside_deg((0.0, 15.0), 6.0, 0.0, HERE, level) == 0.0, "it is beside the picture"
+
+
 def test_who_hardly_knows_its_yaw_looks_to_where_it_can_hardly_miss() -> None:
     """One landmark straight ahead and near, or four in a row from 20 to 40 degrees to the left."""
     row = [on_wall(k, 1.0 + 1.5 * tan) for k, tan in enumerate((0.38, 0.52, 0.67, 0.83))]
