@@ -167,7 +167,7 @@ def test_what_is_said_of_a_wrong_camera(clone: Clone) -> None:
 
     known = "twin:ROBOT, stack:DIR, video:FILE, v4l2:/dev/video0 or NAME, stills:DIR"
     assert told(f"camera 'still:pictures': no such kind of camera; write one of {known}") in said("still:pictures")
-    empty = "no pictures in this folder; it needs files that end in .png .jpg .jpeg .bmp .tif .tiff .webp"
+    empty = "no pictures in this folder; it needs a PNG, JPEG, BMP, TIFF or WebP"
     assert told(f"camera 'stills:empty': empty: {empty}") in said("stills:empty")
     size = "delivers 320x240 pixels, not 640x480; correct width_px and height_px under [camera]"
     assert told(f"camera 'stills:pictures': {size}") in said("stills:pictures")

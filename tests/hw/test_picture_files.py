@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.core.codec import cut_off, kind_of, orientation, stated_size
 from agent.core.config import ConfigError
+from agent.core.picture_head import cut_off, kind_of, orientation, stated_size
 from hw.camera.files import SUFFIXES, folder_of_pictures, picture_files, read_picture, turned
 
 COLOURS = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)

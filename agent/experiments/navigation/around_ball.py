@@ -131,7 +131,7 @@ def _facing_middle(x_m: float, y_m: float) -> Pose:
 # looks for them all the time, and no more at the ball.
 
 S = 1_000_000_000
-AID_FIND_S, AID_S = 15.0, 40.0  # with tags until then; then rarely
+AID_FIND_S, AID_S = 25.0, 40.0  # with tags until then, for arming takes 7 s; then rarely
 SHOWS_S, EVERY_S = 2, (2, 4, 6, 8)  # tags in 2 s of every so many; of each robot, the first always sees them
 
 

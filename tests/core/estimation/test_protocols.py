@@ -9,6 +9,7 @@ from agent.core.estimation.evidence import Evidence
 from agent.core.estimation.evidence_table import Bounds
 from agent.core.estimation.fuse import Shared
 from agent.core.estimation.interface import NOTHING, EstimateCache, Prior
+from agent.core.estimation.moving_target import AGREED
 from agent.core.estimation.protocols import Metropolis, Paper
 from agent.core.estimation.track import swimming
 from agent.core.linear_algebra import upper
@@ -126,5 +127,7 @@ def test_a_place_is_as_unsure_as_the_scale_of_all_ranges_makes_its_lever(robot) 
     lever = np.array([0.5, -0.3, 0.1])
     sample = Prior((1.0, 1.0, 0.5), COV, SECOND_NS, NOTHING, tuple(lever.tolist()))
     robot.tick(sample, EstimateCache("tank", "r1", "ball", ()), SECOND_NS)
-    expected = np.add(COV, SHARED.place_m2) + upper(0.02**2 * np.outer(lever, lever))
+    alone = np.array(COV) + upper(0.02**2 * np.outer(lever, lever))
+    surer = AGREED if isinstance(robot, Evidence) and robot.epoch.moving else 1.0
+    expected = surer * alone + SHARED.place_m2
     assert robot.posterior.cov_m2 == pytest.approx(expected, rel=1e-9, abs=1e-12)
