@@ -71,7 +71,7 @@ STEP_NS = 50_000_000  # 20 Hz: set-points reach the control module often enough 
 SLACK_S = 0.025  # how late a step may come before a dive's clock waits for it
 # A frame that shows a target is not kept waiting. Frames of 10 Hz take every second step to themselves: the one after
 # next waits so much longer for them, or there would be three steps in each tenth of a second.
-LATER_NS = 5_000_000
+LATER_NS = 4_000_000
 
 T = TypeVar("T")
 Around = tuple[tuple[SeenTags, ...], tuple[Flow, ...]]  # what frames showed of what stays where it is

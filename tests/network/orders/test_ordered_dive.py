@@ -75,7 +75,7 @@ def test_a_dive_with_twenty_orders(tmp_path: Path, start_recorder: StartRecorder
         give(cy, True, "r1", "r2", verb="stop")
         shown.until("both stopped", lambda s: s.armed is False, PATIENCE_S)
         code, said = typed(dive.path, "--as", "bob", "arm", "all", "now=1")
-        assert code == 2 and "no such argument: now" in said
+        assert code == 2 and "there is no argument 'now'" in said
         give(bob, True, "r1", "r2", verb="arm")
         shown.until("both armed", lambda s: bool(s.armed), PATIENCE_S)
         assert given + 1 == 19
