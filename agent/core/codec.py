@@ -99,7 +99,7 @@ def printable(text: str) -> str:
 
 
 # --- text ---
-# As editors and spreadsheets of all countries write it: with a mark of its encoding, in UTF-16, with semicolons.
+# As editors of all countries write it: with a mark of its encoding, or in UTF-16.
 
 
 def as_text(data: bytes) -> str:

@@ -123,15 +123,20 @@ TIFF_SIZES = {256: 0, 322: 0, 257: 1, 323: 1}  # tags of width and height: of th
 
 def _tiff_size(data: bytes, order: str) -> tuple[int, int]:
     """Of the first picture; of a tag that comes twice, the larger."""
-    (at,) = struct.unpack_from(order + "I", data, 4)
-    (count,) = struct.unpack_from(order + "H", data, at)
     size = [0, 0]
-    for entry in range(at + 2, at + 2 + 12 * count, 12):
-        tag, kind = struct.unpack_from(order + "HH", data, entry)
+    for tag, value in _tags(data, order, *struct.unpack_from(order + "I", data, 4)):
         if tag in TIFF_SIZES:
-            (value,) = struct.unpack_from(order + ("H" if kind == 3 else "I"), data, entry + 8)
             size[TIFF_SIZES[tag]] = max(size[TIFF_SIZES[tag]], value)
     return size[0], size[1]
+
+
+def _tags(data: bytes, order: str, at: int) -> Iterator[tuple[int, int]]:
+    """The tags of a directory that begins there, and the value of each that is one number."""
+    (count,) = struct.unpack_from(order + "H", data, at)
+    for entry in range(at + 2, at + 2 + 12 * count, 12):
+        tag, kind = struct.unpack_from(order + "HH", data, entry)
+        (value,) = struct.unpack_from(order + ("H" if kind == 3 else "I"), data, entry + 8)
+        yield tag, value
 
 
 def _jpeg_size(data: bytes) -> tuple[int, int] | None:
@@ -172,12 +177,9 @@ def orientation(data: bytes) -> int:
 def _turned(tiff: bytes) -> int:
     """The tag of a TIFF head, which EXIF is."""
     order = "<" if tiff.startswith(b"II") else ">"
-    (at,) = struct.unpack_from(order + "I", tiff, 4)
-    (count,) = struct.unpack_from(order + "H", tiff, at)
-    for entry in range(at + 2, at + 2 + 12 * count, 12):
-        tag, _, _, value = struct.unpack_from(order + "HHIH", tiff, entry)
+    for tag, value in _tags(tiff, order, *struct.unpack_from(order + "I", tiff, 4)):
         if tag == TURNED:
-            return int(value) if 1 <= value <= 8 else UPRIGHT
+            return value if 1 <= value <= 8 else UPRIGHT
     return UPRIGHT
 
 
@@ -199,9 +201,7 @@ def several(data: bytes) -> bool:
 
 def _is_preview(data: bytes, order: str, at: int) -> bool:
     """Whether the second directory of a TIFF is a smaller copy of the picture (NewSubfileType)."""
-    (count,) = struct.unpack_from(order + "H", data, at)
-    entries = (struct.unpack_from(order + "HHII", data, at + 2 + 12 * k) for k in range(count))
-    return any(tag == 254 and value & 1 for tag, _, _, value in entries)
+    return any(tag == 254 and value & 1 for tag, value in _tags(data, order, at))
 
 
 def cut_off(data: bytes) -> bool:

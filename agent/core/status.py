@@ -17,6 +17,7 @@ from agent.core.step_transaction import Revertible
 from agent.core.target_state import TargetState
 
 FAILSAFE = "failsafe level"
+UNRECORDED = "not recording"  # how the fault of a recording that ended or stalls begins
 NO_FRAMES_NS = 700_000_000  # nearly three frames at the slowest rate of vision
 
 
@@ -51,8 +52,8 @@ class Status(Revertible):
         elif attitude.newest is not None:
             if attitude.newest.ladder > 0:
                 faults.append(f"{FAILSAFE} {attitude.newest.ladder}")
-            if bad := attitude.newest.sensors_bad or 0:
-                faults.append("pressure sensor bad: " + " ".join(str(k + 1) for k in range(4) if bad >> k & 1))
+            if bad := attitude.newest.bad_sensors:
+                faults.append(f"pressure sensor bad: {' '.join(map(str, bad))}")
         told = () if inputs.faults is UNSET else inputs.faults
         self._show_faults((*faults, *(text[:MAX_TEXT] for text in (*told, *ours))), now_ns)
 
@@ -123,20 +124,20 @@ def module_state(newest: Telemetry | None, status: Telemetry | None) -> dict[str
     """Of State what is left out while there is nothing to say: by the newest telemetry, and the newest status."""
     found: dict[str, Any] = {}
     if newest is not None:
-        if bad := newest.sensors_bad or 0:
-            found["sensors_bad"] = tuple(k + 1 for k in range(4) if bad >> k & 1)
+        if bad := newest.bad_sensors:
+            found["sensors_bad"] = bad
         if at := newest.saturated or 0:
             found["saturated"] = ("", "T1-T4", "T5-T8", "T1-T8")[at & 3]
         if newest.parameters_dirty:
             found["unsaved"] = True
     if status is not None:
-        for name, value, scale, digits in (
-            ("current_a", status.current_a, 1.0, 1),
-            ("water_c", status.temperature_c, 1.0, 1),
-            ("heap_free_kb", status.heap_free_b, 1e-3, 1),
+        for name, value, scale in (
+            ("current_a", status.current_a, 1.0),
+            ("water_c", status.temperature_c, 1.0),
+            ("heap_free_kb", status.heap_free_b, 1e-3),
         ):
             if value is not UNSET:
-                found[name] = round(value * scale, digits)
+                found[name] = round(value * scale, 1)
     return found
 
 

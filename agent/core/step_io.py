@@ -105,6 +105,11 @@ class Telemetry(Message, frozen=True, kw_only=True):
     temperature_c: float | UnsetType = UNSET  # of the water, at the first sensor that tells
     heap_free_b: int | UnsetType = UNSET  # of the module's memory
 
+    @property
+    def bad_sensors(self) -> tuple[int, ...]:
+        """Pressure sensors, 1 to 4, that the module does not believe."""
+        return tuple(k + 1 for k in range(4) if (self.sensors_bad or 0) >> k & 1)
+
 
 class Heard(Message, frozen=True, kw_only=True):
     """A payload as it came, not yet believed."""

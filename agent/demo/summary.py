@@ -22,16 +22,13 @@ import numpy as np
 
 from agent.core.capability_messages import Claim
 from agent.core.config import Fleet
-from agent.core.linear_algebra import full
 from agent.core.messages import State, Vector
+from agent.core.status import UNRECORDED
 from replay.check.reexecute import black_boxes, open_boxes
-from replay.report.creature_track import SETTLES_NS, CreatureTrack, Held, creature_track
+from replay.report.creature_track import SETTLES_NS, CreatureTrack, creature_track, errors
 
 # --- how far a survey has come ---
 # How far a survey has come, by what robots tell each other of it.
-
-
-UNRECORDED = "not recording"  # agent.process.agent_process: how the fault begins
 
 
 class SurveyWatch:
@@ -286,17 +283,7 @@ def _agent(track: CreatureTrack, robot: str, since_ns: int) -> dict[str, Any]:
 
 def _errors(track: CreatureTrack, robot: str, since_ns: int) -> tuple[np.ndarray, np.ndarray]:
     """Distance from the truth (n,), m, and its square in the covariance that the robot states (n,)."""
-    rows = [row for row in track.held.get(robot, []) if row.t_ns >= since_ns]
-    if not rows:
-        return np.zeros(0), np.zeros(0)
-    e = np.array([row.x_m for row in rows]) - track.truth.at([row.t_ns for row in rows])
-    known = np.asarray(np.isfinite(e).all(axis=1))
-    squares = [float(d @ np.linalg.solve(full(row.cov_m2), d)) for d, row in _pairs(e, rows, known)]
-    return np.linalg.norm(e[known], axis=1), np.array(squares)
-
-
-def _pairs(e: np.ndarray, rows: list[Held], known: np.ndarray) -> list[tuple[np.ndarray, Held]]:
-    return [(d, row) for d, row, is_known in zip(e, rows, known, strict=True) if is_known]
+    return errors([row[:3] for row in track.held.get(robot, []) if row.t_ns >= since_ns], track.truth)
 
 
 def _rms(values: np.ndarray) -> float:

@@ -38,6 +38,7 @@ from hw.twin.camera_device import look
 from hw.twin.creatures import STRIDE, Attitude, swimming
 from hw.twin.dive import RobotPose
 from hw.twin.scene import Creature, generator
+from replay.report.creature_track import SETTLES_NS
 
 # --- cases ---
 
@@ -217,7 +218,6 @@ class DrawnFish(DrawnTarget):
 # --- dive ---
 
 FIND_S, WATCH_S = 20.0, 30.0
-SETTLES_S = 5.0  # after the first robot has seen it, what they believe ought to be good
 COVERED_S = 10.0, 15.0  # of WATCH_S
 FRESH_NS = 250_000_000  # a track of so long ago still says how well it is known
 STEPS_S = 20.0
@@ -267,7 +267,8 @@ def dive(case: Case, speed_m_s: float, seed: int, watch_s: float = WATCH_S) -> D
     error_m, nees = np.moveaxis(cells[:, :, 5:], 2, 0)
     seen = np.flatnonzero(sees.any(axis=1))
     first = int(seen[0]) if len(seen) else len(t_s)
-    watched = min(first + round(SETTLES_S * STEPS_S / FRAME_STEPS), round(FIND_S * STEPS_S / FRAME_STEPS))
+    frames_s = STEPS_S / FRAME_STEPS
+    watched = min(first + round(SETTLES_NS * 1e-9 * frames_s), round(FIND_S * frames_s))
     return Draw(t_s, sees, in_sight, in_reach, covered, landmarks, error_m, nees, first, watched, least_m)
 
 

@@ -312,12 +312,12 @@ def cause(reset_cause: int) -> str:
 
 def marks(telemetry: Telemetry) -> list[str]:
     """What its flags say, in words."""
-    bad = telemetry.sensors_bad or 0
+    bad = " ".join(map(str, telemetry.bad_sensors))
     words = {
         wire.FLAG_KILLED: "kill switch open",
         wire.FLAG_LEAK: "leak",
         wire.FLAG_BATTERY: "battery low",
-        wire.FLAG_DEGRADED: "sensors not believed: " + (" ".join(str(k + 1) for k in range(4) if bad >> k & 1) or "?"),
+        wire.FLAG_DEGRADED: f"sensors not believed: {bad or '?'}",
     }
     found = [text for flag, text in words.items() if telemetry.flags & flag]
     return [*found, "tared" if telemetry.flags & wire.FLAG_TARED else "not tared"]
@@ -350,9 +350,8 @@ Guess = tuple[str, NDArray[np.float64]]
 def guesses() -> list[Guess]:
     """Each single fault of thrusters and sensors, and what pulses of T1 to T4 would then send down, (4, 4), no unit."""
     x, y = np.array([1, -1, -1, 1]), np.array([1, 1, -1, -1])
-    right = np.outer(PITCH, x) - np.outer(
-        ROLL, y
-    )  # a lifted left side is a positive roll, a lowered nose a positive pitch
+    # A lifted left side is a positive roll, a lowered nose a positive pitch.
+    right = np.outer(PITCH, x) - np.outer(ROLL, y)
     found: list[Guess] = [("", right)]
     for k in range(4):
         for gain, says in (

@@ -27,6 +27,7 @@ from agent.core.config import ConfigError, Fleet, Robot
 from agent.core.messages import MAX_TEXT, SCHEMA, Answer, Estimate, Image, Level, LogLine, Mode, State
 from agent.core.ranging.camera_model import Calibration, load_calibration
 from agent.core.robot_view import robot_view
+from agent.core.status import UNRECORDED
 from agent.core.step_io import (
     BlockPeaks,
     DroppedPayloads,
@@ -146,12 +147,10 @@ class Runtime:
             while not stop.is_set():
                 self.step(number)
                 number += 1
-                now_ns = self._clock.now_ns()
-                due_ns = max(due_ns + STEP_NS, now_ns - STEP_NS)  # after a stall: no burst of late steps
-                if self._wait(part, stop, due_ns + LATER_NS * (not by_frame)):
-                    by_frame, due_ns = True, self._clock.now_ns()
-                else:
-                    by_frame = False
+                due_ns = max(due_ns + STEP_NS, self._clock.now_ns() - STEP_NS)  # after a stall: no burst of late steps
+                by_frame = self._wait(part, stop, due_ns if by_frame else due_ns + LATER_NS)
+                if by_frame:
+                    due_ns = self._clock.now_ns()
         finally:
             part.leave()
 
@@ -396,7 +395,7 @@ class AgentProcess:
 
         def faults() -> tuple[str, ...]:
             found = {
-                "not recording": self.log.fault,
+                UNRECORDED: self.log.fault,
                 "no camera": self._eyes.fault,
                 "frames frozen": self._eyes.frozen,
                 "motors off": motors.fault(),

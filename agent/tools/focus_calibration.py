@@ -22,7 +22,7 @@ from agent.core.config import ConfigError, read_toml, write_whole
 from agent.core.linear_algebra import upper
 from agent.core.messages import Symmetric
 from agent.core.ranging.camera_model import FocusFit
-from agent.core.ranging.focus import TiltedPeak, with_sag
+from agent.core.ranging.focus import TiltedPeak, range_variance, with_sag
 from agent.process.command import Failed, free_name
 from hw.camera.files import read_rows
 
@@ -232,11 +232,8 @@ MOST_SHARE = 0.1  # of a range, as the standard deviation of the curve: beyond i
 
 def range_share(fit: FocusFit, rho: float) -> float:
     """Standard deviation of the curve's range at a lens position, as a share of that range."""
-    travel = rho - fit.rho0
-    slope = np.array([1.0, 1.0 / travel, fit.b_m / travel**2])
-    a, b, c, d, e, f = fit.covariance
-    C = np.array([[a, b, c], [b, d, e], [c, e, f]])
-    return math.sqrt(max(float(slope @ C @ slope), 0.0)) / abs(fit.u_inf_m + fit.b_m / travel)
+    _, systematic_m2 = range_variance(fit, rho, 0.0)
+    return math.sqrt(systematic_m2) / abs(fit.u_inf_m + fit.b_m / (rho - fit.rho0))
 
 
 class PaperGauge(NamedTuple):

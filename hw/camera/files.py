@@ -199,7 +199,7 @@ DECIMAL_COMMA = re.compile(r"^(\s*[-+]?\d*),(\d+(?:[eE][-+]?\d+)?\s*)$")
 
 
 def read_rows(path: Path) -> tuple[list[str], list[tuple[int, dict[str, str]]]]:
-    """A CSV file as codec.rows has it: names, and lines with their numbers. Raises ConfigError."""
+    """A CSV file as `rows` has it: names, and lines with their numbers. Raises ConfigError."""
     give = "save the table as CSV in UTF-8"
     try:
         return rows(as_text(read_file(path, MOST_TABLE_BYTES, "give a CSV file")))

@@ -22,8 +22,9 @@ from numpy.typing import NDArray
 from agent.core.codec import decode
 from agent.core.config import ConfigError, Fleet, Pose
 from agent.core.estimation.protocols import dynamics
-from agent.core.estimation.track import FixedLagFilter, square
+from agent.core.estimation.track import FixedLagFilter
 from agent.core.estimation.track import Held as Sample
+from agent.core.linear_algebra import full, upper
 from agent.core.messages import Symmetric, Vector
 from agent.core.ranging.camera_model import apply, at_lens_position, camera_pose, pixel, to_camera
 from agent.core.status import sigma_m
@@ -78,6 +79,18 @@ class Path3(NamedTuple):
         base = self.t_ns[0]
         rel, own = (t - base).astype(float), (self.t_ns - base).astype(float)
         return np.column_stack([np.interp(rel, own, way, left=math.nan, right=math.nan) for way in self.x_m.T])
+
+
+Belief = tuple[int, Vector, Symmetric]  # when, where, and its covariance
+
+
+def errors(beliefs: Sequence[Belief], truth: Path3) -> tuple[Array, Array]:
+    """Distance from the truth (n,), m, and its square in the stated covariance (n,), of those whose truth is known."""
+    off_m = np.array([x_m for _, x_m, _ in beliefs]).reshape(-1, 3) - truth.at([t_ns for t_ns, _, _ in beliefs])
+    known = np.isfinite(off_m).all(axis=1)
+    off_m, cov_m2 = off_m[known], np.array([full(one) for _, _, one in beliefs]).reshape(-1, 3, 3)[known]
+    nees = (off_m * np.linalg.solve(cov_m2, off_m[..., None])[..., 0]).sum(axis=1)
+    return np.linalg.norm(off_m, axis=1), nees
 
 
 class CreatureTrack(NamedTuple):
@@ -380,7 +393,7 @@ def track_causes(folder: Path) -> list[Cause]:
         bearings = [(one.exposed_ns if at_once else one.said_ns, _as_held(one, vector(one))) for one in said]
         return _filtered(bearings, FixedLagFilter(moves, fleet.tank.size_m), moments)
 
-    believed = [(held.t_ns, held.x_m, held.cov_m2) for rows in track.held.values() for held in rows]
+    believed = [held[:3] for rows in track.held.values() for held in rows]
     tracks: dict[str, list[Belief]] = {
         "as the robots believed it": believed,
         "all bearings in one filter": filtered(lambda one: one.vector),
@@ -394,15 +407,12 @@ def track_causes(folder: Path) -> list[Cause]:
         Cause(
             name,
             *(
-                _error([b for b in beliefs if b[0] >= from_ns], track.truth)
+                _means([belief for belief in beliefs if belief[0] >= from_ns], track.truth)
                 for from_ns in (first_ns + SETTLES_NS, first_ns)
             ),
         )
         for name, beliefs in tracks.items()
     ]
-
-
-Belief = tuple[int, Vector, Symmetric]  # when, where, and its covariance
 
 
 def _true_ways(folder: Path) -> dict[str, Path3]:
@@ -437,7 +447,7 @@ def _said(box: BlackBox, target: str, truth: Path3, way: Path3) -> Iterator[Said
             there, pose = truth.at([sample.t_ns])[0], way.at([sample.t_ns])[0]
             aside_m = _aside_m(box, frame, there, pose)
             if aside_m is not None:
-                L = np.array(square(sample.information)).reshape(3, 3)
+                L = np.array(full(sample.information))
                 yield Said(sample.t_ns, step.now_ns, L, np.array(sample.vector), L @ aside_m, L @ there)
 
 
@@ -458,20 +468,19 @@ def _aside_m(box: BlackBox, frame: Sighting, there: Array, pose: Array) -> Array
 
 
 def _as_held(of: Said, vector: Array) -> Sample:
-    L, (x, y, z) = of.information, vector.tolist()
-    return Sample(of.exposed_ns, (L[0, 0], L[0, 1], L[0, 2], L[1, 1], L[1, 2], L[2, 2]), (x, y, z))
+    x, y, z = vector.tolist()
+    return Sample(of.exposed_ns, upper(of.information), (x, y, z))
 
 
 def _filtered(bearings: list[tuple[int, Sample]], through: FixedLagFilter, moments: Sequence[int]) -> list[Belief]:
     """What a filter believes at each of these moments, of bearings that it gets when they are due."""
     coming, window, frozen_ns = sorted(bearings, key=lambda one: one[0]), list[Sample](), 0
+    due_ns, begin = [ns for ns, _ in coming], 0
     found: list[Belief] = []
-    k = 0
     for now_ns in moments:
-        while k < len(coming) and coming[k][0] <= now_ns:
-            window.append(coming[k][1])
-            k += 1
-        window = [sample for sample in window if sample.t_ns > frozen_ns]
+        end = bisect_right(due_ns, now_ns)
+        window += [sample for _, sample in coming[begin:end]]
+        window, begin = [sample for sample in window if sample.t_ns > frozen_ns], end
         track = through.run(window, now_ns - LAG_NS, now_ns)
         frozen_ns = now_ns - LAG_NS
         if track is not None:
@@ -479,15 +488,10 @@ def _filtered(bearings: list[tuple[int, Sample]], through: FixedLagFilter, momen
     return found
 
 
-def _error(beliefs: Sequence[Belief], truth: Path3) -> tuple[float, float]:
+def _means(beliefs: Sequence[Belief], truth: Path3) -> tuple[float, float]:
     """Rms of the distance from the truth, mm, and mean of its square in the stated covariance."""
-    off = np.array([x_m for _, x_m, _ in beliefs]).reshape(-1, 3) - truth.at([t_ns for t_ns, _, _ in beliefs])
-    known = np.isfinite(off).all(axis=1)
-    if not known.any():
-        return math.nan, math.nan
-    covariances = np.array([square(cov_m2) for _, _, cov_m2 in beliefs]).reshape(-1, 3, 3)
-    nees = np.einsum("ni,ni->n", off[known], np.linalg.solve(covariances[known], off[known][..., None])[..., 0])
-    return 1e3 * math.sqrt(float((off[known] ** 2).sum(axis=1).mean())), float(nees.mean())
+    off_m, nees = errors(beliefs, truth)
+    return (1e3 * math.sqrt(float(np.mean(off_m**2))), float(nees.mean())) if len(off_m) else (math.nan, math.nan)
 
 
 def causes_table(causes: Sequence[Cause]) -> str:

@@ -52,7 +52,16 @@ FUZZED: dict[str, tuple[str, ...]] = {
     "picture": (
         *(
             f"agent.core.picture_head:{name}"
-            for name in ("stated_size", "_jpeg_size", "_png_size", "_tiff_size", "_webp_size", "several", "_turned")
+            for name in (
+                "stated_size",
+                "_jpeg_size",
+                "_png_size",
+                "_tiff_size",
+                "_webp_size",
+                "several",
+                "_turned",
+                "_tags",
+            )
         ),
         "hw.camera.files:read_picture",
     ),
@@ -104,7 +113,6 @@ SAFE = {  # a module, or one of its readers
     "agent.process.transport:came": "reads a key by topics.chunks, as `samples` do",
     "agent.robot.fleet_reader:with_behaviour": "what who starts it types, read as `fleet` is",
     "replay.report.creature_track:_true_ways": "what the twin wrote, read as `creatures` is",
-    "agent.core.picture_head:_is_preview": "a part of `several`",
     "agent.ground.check:fleet_findings": "looks for words in what `fleet` has read",
     "hw.camera.files:rows": "a part of `ranges`, `stack` and `truth`",
     "agent.tools.focus_calibration:check_file": "looks whether there is a table, by read_toml",

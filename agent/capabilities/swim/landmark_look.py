@@ -107,6 +107,8 @@ class LandmarkLook(Revertible):
 
         way: pan and tilt to the target; before_deg: what this said last.
         """
+        if most_deg <= 0.0:
+            return 0.0
         pan, tilt = way
         shown = []  # from which tilt to which a landmark is whole, and its worth
         for mark in self._in_reach(pose, Sure(0.0, 0.0), level):
@@ -117,15 +119,13 @@ class LandmarkLook(Revertible):
         low, high = (limit - tilt for limit in self._body.tilt_limit_deg)
         ways = {0.0, before_deg, *(edge for low_deg, high_deg, _ in shown for edge in (low_deg, high_deg))}
         within = [aside for aside in ways if abs(aside) <= most_deg and low <= aside <= high]
-        if not most_deg or not within:
-            return 0.0
 
         def worth(aside: float) -> float:
             seen = sum(worth for low_deg, high_deg, worth in shown if low_deg <= aside <= high_deg)
             costs = ASIDE * abs(aside) + UNLIKE * abs(aside - before_deg)
             return min(seen, ENOUGH) - costs / most_deg
 
-        return max(within, key=lambda aside: (worth(aside), -abs(aside)))
+        return max(within, key=lambda aside: (worth(aside), -abs(aside)), default=0.0)
 
     def _best(
         self, pose: Pose, sure: Sure, level: Attitude, from_deg: tuple[float, float] | None

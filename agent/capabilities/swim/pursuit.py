@@ -14,9 +14,9 @@ from collections.abc import Callable, Sequence
 from agent.capabilities.swim.landmark_look import half_picture_deg
 from agent.capabilities.swim.swimmer import Swimmer, pose_of
 from agent.capabilities.swim.tag_fix import TURNING_DEG
-from agent.core.attitude import AttitudeLog
+from agent.core.attitude import Attitude, AttitudeLog
 from agent.core.capability import CameraAct, Situation
-from agent.core.config import Body, Fleet
+from agent.core.config import Body, Fleet, Target
 from agent.core.estimation.interface import Bearing, Posterior
 from agent.core.estimation.protocols import dynamics, pursued
 from agent.core.estimation.track import Dynamics, growth
@@ -259,21 +259,27 @@ class Pursuit(Revertible):
         pan, tilt = look_at(at_m, pose, body, *level, surface_m)
         eye_m = camera_pose(pose, body, *level, pan, tilt, surface_m).position_m
         far_m = max(math.dist(at_m, eye_m), NEAREST_M)
-        return CameraAct((pan, tilt + self._beside_deg((pan, tilt), far_m, situation)), "track", name)
+        self._look_beside((pan, tilt), far_m, of.believed, self._fleet.target[name], level, now_ns)
+        return CameraAct((pan, tilt + self._aside_deg), "track", name)
 
-    def _beside_deg(self, way_deg: tuple[float, float], far_m: float, situation: Situation) -> float:
-        """By how much the camera looks above a target that it sees, so that it shows landmarks beside it."""
-        believed, target = situation.target.believed, self._fleet.target[self._swimmer.pursues or ""]
-        if believed is None or situation.level is None or not self._gimbal_track.sees(situation.now_ns):
+    def _look_beside(
+        self,
+        way_deg: tuple[float, float],
+        far_m: float,
+        believed: Posterior,
+        target: Target,
+        level: Attitude,
+        now_ns: int,
+    ) -> None:
+        """Look above or below a target that the camera sees, so that it shows landmarks beside it."""
+        if not self._gimbal_track.sees(now_ns):
             self._aside_deg = 0.0
-            return 0.0
+            return
         high_m = PITCHED * (target.length_m or 0.0) + (target.radius_m or 0.0)
         high_m += SIGMAS * math.sqrt(max(believed.cov_m2[5], 0.0))
         room_deg = half_picture_deg(self._calibration.camera)[1] - math.degrees(math.atan2(high_m, far_m)) - FREE_DEG
-        wanted = self._swimmer.beside_deg(way_deg, max(room_deg, 0.0), self._aside_deg, situation.level)
-        step = min(max(wanted - self._aside_deg, -ASIDE_STEP_DEG), ASIDE_STEP_DEG)
-        self._aside_deg += step
-        return self._aside_deg
+        wanted = self._swimmer.beside_deg(way_deg, room_deg, self._aside_deg, level)
+        self._aside_deg += min(max(wanted - self._aside_deg, -ASIDE_STEP_DEG), ASIDE_STEP_DEG)
 
     def _searched(self, at_m: Vector, cov_m2: Symmetric, here_m: Vector, lost_by_all: bool, now_ns: int) -> Vector:
         """Of all places where it may be the one to look at now: the middle one while the robot sees it. Where all have
