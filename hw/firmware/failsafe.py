@@ -56,8 +56,9 @@ _OVER_100nrad = const(12200000)  # 70 degrees: what goes over passes here, for t
 _OVER_FOR_US = const(30000)
 _PLANE_100nm = const(200000)  # four sensors in a plane within 2 cm, or no tilt is believed
 _USELESS_100nm = const(2000000)  # 20 cm out of it: nobody knows how the robot lies
-# That it takes to hold a robot level: badly trimmed, or a thruster works against it.
-_MOMENT_uNm = const(150000)
+_MOMENT_uNm = const(
+    150000
+)  # that it takes to hold a robot level: badly trimmed, or a thruster works against it, or not level
 
 
 class Ladder:
