@@ -25,6 +25,7 @@ from hw.twin.optics.raycast import (
     ONE,
     TINY,
     ZERO,
+    Affine,
     Ellipsoid,
     Eye,
     F,
@@ -45,6 +46,8 @@ from hw.twin.optics.shade import GRAIN, HALF, STEEPEST, STEPS_PER_M, WALL_LIGHT,
 from hw.twin.truth import PaintedTag
 
 CODE, BORDER, SIDE = 6, 8, 10  # squares a side: of the code, with the black border, with the white margin around that
+REACH = SIDE / BORDER / math.sqrt(2)  # sizes of a tag from its middle to a corner of its margin
+BEYOND_CORNER = 1.3  # times the way to a corner of the picture: no lens draws what is farther out into it
 PAPER = MATERIALS.index(CHESSBOARD)  # the same ink on the same grain
 FACE_IDS = {"x0": 0, "x1": 1, "y0": 2, "y1": 3, "floor": FLOOR_ID}
 SAMPLES = 16
@@ -78,16 +81,17 @@ def family() -> NDArray[np.uint8]:
 
 
 def make_decals(tags: Sequence[PaintedTag], eye: Eye, image_distance_m: float, lens: Lens, index: float) -> Decals:
-    """`tags` in the terms of the camera at `eye`; the other arguments as for make_view."""
+    """Those of `tags` that may be in the picture, in the terms of the camera at `eye`; the other arguments as for
+    make_view."""
     camera = affine(eye.rotation, eye.position_m)
     focal_px = index * image_distance_m / lens.pixel_m
+    tags = _in_sight(tags, camera, focal_px, lens)
     maps, bounds = np.empty((len(tags), 3, 4)), np.empty((len(tags), 4), np.int64)
     for k, tag in enumerate(tags):
         to_tag = relative(tag.rotation, tag.position_m, camera) / (tag.size_m / BORDER)
         maps[k] = to_tag * np.array([[1.0], [-1.0], [1.0]])
         maps[k, :2, 3] += SIDE / 2
-        reach_m = tag.size_m * SIDE / BORDER / math.sqrt(2)
-        around = Ellipsoid(tag.position_m, np.eye(3), (reach_m,) * 3, PAPER)
+        around = Ellipsoid(tag.position_m, np.eye(3), (tag.size_m * REACH,) * 3, PAPER)
         bounds[k] = pixel_bounds(around, camera, lens, focal_px)
     return Decals(
         maps=maps.astype(np.float32),
@@ -96,6 +100,17 @@ def make_decals(tags: Sequence[PaintedTag], eye: Eye, image_distance_m: float, l
         face=np.array([FACE_IDS[tag.face] for tag in tags], np.uint8),
         bounds=bounds,
     )
+
+
+def _in_sight(tags: Sequence[PaintedTag], camera: Affine, focal_px: float, lens: Lens) -> list[PaintedTag]:
+    """Without those that are surely beside the picture or behind the camera: each one costs as much as a stone."""
+    away_m = np.array([tag.position_m for tag in tags]).reshape(-1, 3) - camera[:, 3]
+    range_m = np.linalg.norm(away_m, axis=1)
+    half = np.arcsin(np.minimum(np.array([tag.size_m * REACH for tag in tags]) / np.maximum(range_m, 1e-9), 1.0))
+    off_axis = np.arccos(np.clip(away_m @ camera[:, 2] / np.maximum(range_m, 1e-9), -1.0, 1.0)) - half
+    u, v = (max(c, size - c) for c, size in zip(lens.centre_px, (lens.width, lens.height), strict=True))
+    corner = math.atan(BEYOND_CORNER * math.hypot(u, v) / focal_px)
+    return [tag for tag, off in zip(tags, off_axis, strict=True) if off < corner]
 
 
 @kernel
