@@ -352,7 +352,7 @@ LAG_NS = 1_000_000_000  # longer no bearing is on its way
 
 
 class Cause(NamedTuple):
-    """A track, and its error, rms in mm, and NEES, from SETTLES_NS on and from the first bearing on."""
+    """A track, and its error, rms in mm, and NEES, from SETTLES_NS on and from when a robot saw it first."""
 
     track: str
     settled: tuple[float, float]
@@ -387,6 +387,7 @@ def track_causes(folder: Path) -> list[Cause]:
     if not said:
         raise ConfigError(f"{folder}: no robot said a bearing of {target}")
     moves, first_ns = dynamics(fleet.target[target]), min(bearing.exposed_ns for bearing in said)
+    seen_ns = first_ns if track.first_ns is None else track.first_ns
     moments = sorted({held.t_ns for rows in track.held.values() for held in rows if held.t_ns > first_ns})
 
     def filtered(vector: Callable[[Said], Array], at_once: bool = False) -> list[Belief]:
@@ -408,7 +409,7 @@ def track_causes(folder: Path) -> list[Cause]:
             name,
             *(
                 _means([belief for belief in beliefs if belief[0] >= from_ns], track.truth)
-                for from_ns in (first_ns + SETTLES_NS, first_ns)
+                for from_ns in (seen_ns + SETTLES_NS, seen_ns)
             ),
         )
         for name, beliefs in tracks.items()

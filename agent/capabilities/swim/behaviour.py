@@ -38,21 +38,23 @@ from agent.core.target_state import TargetEstimate
 #
 #     push = sum_j sgn(g) max(0, 0.9 * 2 pi / max(n, 3) - |g|)
 #     goal = target + standoff (cos, sin)(th + push / 2 + d)
-#     d of DETOURS with the least  |d| + 2 hidden + 5 reach / m + far / m
+#     d of DETOURS with the least  |d| + 2 hidden + 5 reach / m + far / m + back
 #
 # drawn inside the walls; reach is what the wall takes from the distance, hidden whether another robot, or what hid
 # the target lately, is in between, far by how much the wall behind the target is too far for its landmarks to be
-# read. So robots part until they look from all sides, as agents in cyclic pursuit do (Marshall, Broucke and Francis,
-# Formations of vehicles in cyclic pursuit, IEEE Trans. Automatic Control 49(11), 2004), though none knows of an
-# order.
+# read, back whether it leads back from the side on which the robot goes round what hides the target. So robots part
+# until they look from all sides, as agents in cyclic pursuit do (Marshall, Broucke and Francis, Formations of vehicles
+# in cyclic pursuit, IEEE Trans. Automatic Control 49(11), 2004), though none knows of an order.
 #
 # The yaw leaves to the gimbal what it can reach, and turns along with the bearing: a gimbal turns in steps, and no
 # sweep outlasts one.
 
 SHARE = 0.9  # of an even spread: robots that want all of it push each other round for ever
 DETOURS = (0.0, 0.4, -0.4, 0.8, -0.8, 1.2, -1.2, 1.6, -1.6)  # rad, the first of equals is taken
+ROUND = tuple(0.2 * k * sign for k in range(9) for sign in (1, -1))[1:]  # of what hides it: a gap may be narrow
 HIDDEN, REACH_1_M = 2.0, 5.0  # what a detour may cost, rad; the first detour pays from 8 cm of reach on
 FAR_M, FAR_1_M = 1.9, 1.0  # of the wall behind the target, where landmarks are, from the robot; rad for each metre more
+BACK = 1.2  # rad: or a robot would go to and fro behind a stone
 RING_M = 0.17  # of a robot, which hides what is behind it
 ALONG = 0.7  # of the target's speed is swum ahead: it is known late, and turns
 SURE_1_S = 0.5  # of the distance that is left where the target may be, swum in a second at most
@@ -62,6 +64,7 @@ class Pursuit(NamedTuple):
     """What is remembered between steps."""
 
     bearing: float  # of the target, from the robot, at the step before
+    side: float = 0.0  # to which it goes round what hides the target: 1 anticlockwise, -1 clockwise, 0: nothing does
 
 
 def knows(what: Follow, around: Surroundings, now_ns: int) -> bool:
@@ -85,7 +88,7 @@ def follow(
     pace = math.hypot(*swims)
     if pace > around.speed_m_s:
         swims = swims[0] * around.speed_m_s / pace, swims[1] * around.speed_m_s / pace
-    place = place_around(at_m, what.standoff_m, pose, around)
+    place, side = place_around(at_m, what.standoff_m, pose, around, 0.0 if pursuit is None else pursuit.side)
     most_m_s = max(min(around.speed_m_s - pace, SURE_1_S * (what.standoff_m - target.sigma_m)), 0.0)
     bearing = math.atan2(at_m[1] - pose[1], at_m[0] - pose[0])
     to = Reference(
@@ -95,24 +98,29 @@ def follow(
         rate_rad_s=_rate(at_m, velocity, pose, around.velocity_m_s, what.standoff_m),
         most_m_s=most_m_s,
     )
-    return to, Pursuit(bearing)
+    return to, Pursuit(bearing, side)
 
 
-def place_around(target_m: Planar, standoff_m: float, pose: Vector, around: Surroundings) -> Planar:
-    """The goal: of the places around the target the one that costs least."""
+def place_around(
+    target_m: Planar, standoff_m: float, pose: Vector, around: Surroundings, side: float = 0.0
+) -> tuple[Planar, float]:
+    """The goal, of the places around the target the one that costs least; and to which side it goes round what hid the
+    target. side: to which it went until now."""
     mine = _bearing(target_m, (pose[0], pose[1]))
     middle = mine + 0.5 * _push(mine, [_bearing(target_m, other) for other in around.fellows_m])
-    best, least = (pose[0], pose[1]), math.inf
-    for detour in DETOURS:
+    best, least, chosen = (pose[0], pose[1]), math.inf, 0.0
+    for detour in ROUND if around.screens_m else DETOURS:
         way = math.cos(middle + detour), math.sin(middle + detour)
         goal = within_walls((target_m[0] + standoff_m * way[0], target_m[1] + standoff_m * way[1]), around.tank_m)
         reach_m = abs(math.dist(goal, target_m) - standoff_m)
         hidden = _hidden(goal, target_m, (*around.robots_m, *around.screens_m))
         far_m = max(sight_m(goal, _bearing(goal, target_m), around.tank_m) - FAR_M, 0.0)
-        cost = abs(detour) + HIDDEN * hidden + REACH_1_M * reach_m + FAR_1_M * far_m
+        cost = abs(detour) + HIDDEN * hidden + REACH_1_M * reach_m + FAR_1_M * far_m + BACK * (detour * side < 0.0)
         if cost < least:
-            best, least = goal, cost
-    return best
+            best, least, chosen = goal, cost, detour
+    if not around.screens_m:
+        return best, 0.0
+    return best, math.copysign(1.0, chosen) if chosen else side
 
 
 def _push(mine: float, others: list[float]) -> float:

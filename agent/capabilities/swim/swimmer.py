@@ -96,7 +96,9 @@ class ActiveBehaviour(Revertible):
 
 # --- target context of a behaviour ---
 
-SCREEN_NS = 6_000_000_000  # remembered for so long: its exact place is not known, and a fish swims on
+# As long as the target rests, what hides it is remembered for so long that the robot can swim half way round, or it
+# would come back to where it saw nothing. Where the target has gone on by so much, something else hides it, or nothing.
+SCREEN_NS, SCREENED_M = 20_000_000_000, 0.25
 SCREENS_APART_M, MOST_SCREENS = 0.1, 8
 
 
@@ -104,6 +106,7 @@ class Screen(NamedTuple):
     """Something that hid the target, about there."""
 
     at_m: Planar
+    target_m: Planar
     since_ns: int
 
 
@@ -142,7 +145,7 @@ class TargetContext(Revertible):
             swims=what.target in self._swims,
             sees=situation.camera.sees(what.target),
             robots_m=tuple(disc.at_m for disc in neighbours.discs(now_ns)),
-            screens_m=tuple(screen.at_m for screen in self._screens_of(now_ns)),
+            screens_m=() if target is None else self.screens_m(target.x_m[:2], now_ns),
         )
         does = self.does = effective(what, Hunt() if progress is None else progress.hunt, around, now_ns)
         spirals = situation.camera.search is not None and situation.camera.search.spirals
@@ -168,11 +171,13 @@ class TargetContext(Revertible):
     def hidden(self, from_m: Planar, at_m: Planar, now_ns: int) -> None:
         """Nothing of the target at at_m is to be seen from there: something unknown is half way, or about."""
         x, y = 0.5 * (from_m[0] + at_m[0]), 0.5 * (from_m[1] + at_m[1])
-        if all(math.dist((x, y), screen.at_m) > SCREENS_APART_M for screen in self._screens_of(now_ns)):
-            self._screens.append(Screen((x, y), now_ns))
+        if all(math.dist((x, y), other_m) > SCREENS_APART_M for other_m in self.screens_m(at_m, now_ns)):
+            self._screens.append(Screen((x, y), at_m, now_ns))
 
-    def _screens_of(self, now_ns: int) -> list[Screen]:
-        return [screen for screen in self._screens if now_ns - screen.since_ns < SCREEN_NS]
+    def screens_m(self, target_m: Planar, now_ns: int) -> tuple[Planar, ...]:
+        """What is in the way of the target where it is now."""
+        lately = (screen for screen in self._screens if now_ns - screen.since_ns < SCREEN_NS)
+        return tuple(screen.at_m for screen in lately if math.dist(screen.target_m, target_m) < SCREENED_M)
 
     def disc(self, now_ns: int) -> Disc | None:
         """The target, to keep clear of. The robot does not flee from where it only may be."""

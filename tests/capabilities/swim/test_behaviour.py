@@ -11,6 +11,7 @@ from agent.capabilities.swim.barrier import WALL_M
 from agent.capabilities.swim.behaviour import COAST_NS, LEGS, Spin, Stage, place_around, reference, start, trial
 from agent.capabilities.swim.search import ANYWHERE_M, GIMBAL_RAD, SEEN_NS, SPEED_NS, Surroundings, known
 from agent.capabilities.swim.swim import swimmer_of
+from agent.capabilities.swim.swimmer import TargetContext
 from agent.core.config import Follow, Look, Navigation, Pose, Search, Trial
 from agent.core.estimation.interface import Posterior, Update, Word
 from agent.core.linear_algebra import wrap
@@ -43,6 +44,10 @@ def told(pose, target, what=WHAT, now_ns=S, **more):
     return reference(what, progress, pose, now_ns, None, around(target, **more))
 
 
+def where_to(target_m, standoff_m, pose, where):
+    return place_around(target_m, standoff_m, pose, where)[0]
+
+
 # --- where to -----------------------------------------------------------------------------------------------------
 
 
@@ -52,18 +57,41 @@ def test_goals_are_inside_the_walls_and_no_farther_than_the_standoff() -> None:
         target, here = rng.uniform((0.0, 0.0), TANK_M), rng.uniform((0.0, 0.0), TANK_M)
         others = tuple(map(tuple, rng.uniform((0.0, 0.0), TANK_M, (rng.integers(4), 2)).tolist()))
         where = around(fellows_m=others, robots_m=others)
-        goal = place_around(tuple(target.tolist()), 0.7, (*here.tolist(), 0.0), where)
-        assert goal == place_around(tuple(target.tolist()), 0.7, (*here.tolist(), 0.0), where)
+        goal = where_to(tuple(target.tolist()), 0.7, (*here.tolist(), 0.0), where)
+        assert goal == where_to(tuple(target.tolist()), 0.7, (*here.tolist(), 0.0), where)
         assert all(WALL_M < at < side - WALL_M for at, side in zip(goal, TANK_M, strict=True))
 
 
+def test_it_goes_round_what_hides_a_target_that_rests() -> None:
+    """Two others see it, and push back the one that a stone is in the way of, from 110 degrees of bearing."""
+    target, others = (2.18, 0.61), ((1.62, 0.23), (2.72, 1.04))
+    context, at, side = TargetContext(fleet(), CALIBRATION), (2.18 - 0.35, 0.61 + 0.61), 0.0
+    for now_ns in range(S, 26 * S, S // 5):
+        bearing = math.atan2(at[1] - target[1], at[0] - target[0])
+        if abs(wrap(bearing - math.radians(120.0))) > math.radians(55.0):
+            return
+        context.hidden(at, target, now_ns)
+        where = around(fellows_m=others, robots_m=others, screens_m=context.screens_m(target, now_ns))
+        goal, side = place_around(target, 0.7, (*at, 0.0), where, side)
+        way = math.dist(at, goal)
+        at = tuple(a + min(1.0, 0.02 / max(way, 1e-9)) * (b - a) for a, b in zip(at, goal, strict=True))
+    pytest.fail(f"it still sees nothing, at {at}")
+
+
+def test_what_hid_a_target_is_forgotten_where_that_has_gone_on() -> None:
+    context = TargetContext(fleet(), CALIBRATION)
+    context.hidden((0.8, 1.0), (1.5, 1.0), S)
+    assert context.screens_m((1.5, 1.1), 12 * S) == ((1.15, 1.0),)
+    assert not context.screens_m((1.5, 1.3), 2 * S) and not context.screens_m((1.5, 1.0), 22 * S)
+
+
 def test_alone_it_keeps_its_side_and_its_distance() -> None:
-    assert place_around((1.5, 1.0), 0.7, (0.5, 1.0, 0.0), around()) == pytest.approx((0.8, 1.0))
-    assert place_around((1.5, 1.0), 0.5, (1.6, 1.0, 0.0), around()) == pytest.approx((2.0, 1.0))
+    assert where_to((1.5, 1.0), 0.7, (0.5, 1.0, 0.0), around()) == pytest.approx((0.8, 1.0))
+    assert where_to((1.5, 1.0), 0.5, (1.6, 1.0, 0.0), around()) == pytest.approx((2.0, 1.0))
 
 
 def test_what_hid_the_target_lately_is_gone_round() -> None:
-    screened = place_around((1.5, 1.0), 0.7, (0.8, 1.0, 0.0), around(screens_m=((1.15, 1.0),)))
+    screened = where_to((1.5, 1.0), 0.7, (0.8, 1.0, 0.0), around(screens_m=((1.15, 1.0),)))
     assert math.dist(screened, (1.5, 1.0)) == pytest.approx(0.7) and abs(screened[1] - 1.0) > 0.2
 
 
@@ -80,9 +108,9 @@ def test_one_that_nobody_sees_is_known_for_as_long_as_it_cannot_be_anywhere() ->
 
 def test_two_on_one_side_part_and_a_wall_turns_it_to_where_there_is_room() -> None:
     a, b = (0.9, 1.1), (0.9, 0.9)
-    up, down = (place_around((1.5, 1.0), 0.7, (*me, 0.0), around(fellows_m=(other,))) for me, other in ((a, b), (b, a)))
+    up, down = (where_to((1.5, 1.0), 0.7, (*me, 0.0), around(fellows_m=(other,))) for me, other in ((a, b), (b, a)))
     assert up[1] > 1.3 and down[1] < 0.7
-    goal = place_around((1.5, 0.6), 0.7, (1.4, 0.3, 0.0), around())  # behind it there is a wall
+    goal = where_to((1.5, 0.6), 0.7, (1.4, 0.3, 0.0), around())  # behind it there is a wall
     assert math.dist(goal, (1.5, 0.6)) > 0.55 and goal[0] < 1.2
 
 
@@ -90,13 +118,13 @@ def test_two_alone_do_not_look_at_it_face_to_face() -> None:
     """Their bearings would be one line; with a right angle between them they part no more."""
     for apart, pushes in ((0.5 * math.pi, True), (math.radians(110.0), False), (math.pi, False)):
         there = (1.5 + 0.7 * math.cos(apart), 1.0 + 0.7 * math.sin(apart))
-        goal = place_around((1.5, 1.0), 0.7, (2.2, 1.0, math.pi), around(fellows_m=(there,)))
+        goal = where_to((1.5, 1.0), 0.7, (2.2, 1.0, math.pi), around(fellows_m=(there,)))
         assert (math.dist(goal, (2.2, 1.0)) > 0.05) is pushes
 
 
 def test_it_leaves_a_place_behind_another_robot() -> None:
-    free = place_around((1.5, 1.0), 0.7, (0.7, 1.0, 0.0), around())
-    hidden = place_around((1.5, 1.0), 0.7, (0.7, 1.0, 0.0), around(robots_m=((1.1, 1.0),)))
+    free = where_to((1.5, 1.0), 0.7, (0.7, 1.0, 0.0), around())
+    hidden = where_to((1.5, 1.0), 0.7, (0.7, 1.0, 0.0), around(robots_m=((1.1, 1.0),)))
     assert free == pytest.approx((0.8, 1.0)) and abs(hidden[1] - 1.0) > 0.2
 
 
