@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,11 @@ class Roi(NamedTuple):
     y: int
     width: int
     height: int
+
+
+# What the source stamps. From "exposure-start" the time of a frame follows; from "arrival" it is an estimate, which is
+# right but for a lag that stays the same while size and rate do, and that a calibration can measure.
+Stamp = Literal["exposure-start", "arrival"]
 
 
 class FocusRange(NamedTuple):
@@ -53,6 +58,10 @@ class Camera(Protocol):
     """What every backend offers. One thread uses a camera at a time."""
 
     size: tuple[int, int]  # width, height of the full frame
+
+    @property
+    def stamp(self) -> Stamp:
+        """What stands behind the times of its frames; of recorded pictures, which have no lag, "exposure-start"."""
 
     def focus_range(self) -> FocusRange | None:
         """The range of lens positions; None where the focus cannot be set, and sweeps are refused."""

@@ -22,7 +22,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from agent.clock.clock import Clock, SystemClock
-from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Roi, deliverable, nearest
+from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Roi, Stamp, deliverable, nearest
 
 # --- messages ---
 
@@ -285,6 +285,7 @@ class TwinCamera:
 
     def __init__(self, connection: socket.socket, path: Path, clock: Clock) -> None:
         self.size = (0, 0)
+        self.stamp: Stamp = "exposure-start"
         self._focus_range = FocusRange(0, 0, 1)
         self._connection = connection
         self._path = path

@@ -9,10 +9,10 @@ import cv2
 import numpy as np
 import pytest
 
+from hw.camera import open_camera
 from hw.camera.camera import Camera, CameraError, CameraGone, FocusRange, Image, Roi, deliverable, nearest
 from hw.camera.files import open_stack, open_video
 from hw.camera.frame_socket import FrameServer
-from hw.camera.open import open_camera
 from tests.hw.camera.fake_v4l2 import FakeComputer, scene, through_yuyv
 
 SIZE = (96, 64)
