@@ -8,7 +8,13 @@ from agent.clock.clock import Clock, SystemClock
 from agent.core.config import MainsHz
 from hw.camera.camera import Camera, CameraError
 
-SCHEMES = {"twin": "ROBOT", "stack": "DIR", "video": "FILE", "v4l2": "/dev/video0 or NAME"}  # scheme -> what follows it
+SCHEMES = {  # scheme -> what follows it
+    "twin": "ROBOT",
+    "stack": "DIR",
+    "video": "FILE",
+    "v4l2": "/dev/video0 or NAME",
+    "libcamera": "0",
+}
 
 
 def open_camera(
@@ -52,6 +58,10 @@ def _open(
         from hw.camera.v4l2 import open_v4l2
 
         return open_v4l2(place, size, mains_hz)
+    if scheme == "libcamera":
+        from hw.camera.libcamera import open_libcamera
+
+        return open_libcamera(place, size, mains_hz)
     from hw.camera.files import open_stack, open_video
 
     return open_stack(Path(place)) if scheme == "stack" else open_video(Path(place))

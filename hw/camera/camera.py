@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
@@ -46,6 +47,9 @@ class Frame(NamedTuple):
     still: bool = False  # a recorded picture, which may come again and again; a sensor never sends one twice
 
 
+NO_FOCUS = "its focus cannot be set: distances come from the target's size alone"  # said when it is opened
+
+
 class CameraError(RuntimeError):
     """The camera cannot be opened or used; one line that says what to change."""
 
@@ -76,6 +80,11 @@ class Camera(Protocol):
         """
 
     def close(self) -> None: ...
+
+
+def no_control(missing: Sequence[str]) -> str:
+    """What is said of a camera that cannot hold these things."""
+    return f"it has no control of {', '.join(missing)}; what changes by itself in a sweep spoils its peak"
 
 
 def nearest(lens_position: int, focus: FocusRange) -> int:

@@ -20,6 +20,7 @@ from agent.core.config import MainsHz
 from agent.core.picture_head import stated_size
 from hw.camera import v4l2_node as v4l2
 from hw.camera.camera import (
+    NO_FOCUS,
     PATIENCE_S,
     CameraError,
     CameraGone,
@@ -428,7 +429,7 @@ def shortcomings(focus: FocusRange | None, form: Format, clock_known: bool) -> l
     """What this camera cannot do that a good one can, beside its controls, a line each."""
     lines = []
     if focus is None:
-        lines.append("its focus cannot be set: distances come from the target's size alone")
+        lines.append(NO_FOCUS)
     if form.fourcc == MJPG:
         lines.append("it delivers this size as JPEG only, or too slowly: the focus is found less exactly")
     if not clock_known:

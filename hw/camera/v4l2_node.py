@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol
 
 from agent.core.config import MainsHz
-from hw.camera.camera import CameraError, CameraGone, FocusRange
+from hw.camera.camera import CameraError, CameraGone, FocusRange, no_control
 
 # --- driver calls ---
 #
@@ -505,7 +505,7 @@ def freeze(controls: Controls, mains_hz: MainsHz) -> list[str]:
         else:
             controls.set(SHARPNESS, sharpness.lowest)  # sharpening in the camera shifts the focus peak
     if missing:
-        lines.insert(0, f"it has no control of {', '.join(missing)}; what changes by itself in a sweep spoils its peak")
+        lines.insert(0, no_control(missing))
     return lines
 
 

@@ -1,5 +1,6 @@
 """One contract, every backend: what an agent relies on, whatever is behind the camera."""
 
+import contextlib
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -13,6 +14,11 @@ from hw.camera import open_camera
 from hw.camera.camera import Camera, CameraError, CameraGone, FocusRange, Image, Roi, deliverable, nearest
 from hw.camera.files import open_stack, open_video
 from hw.camera.frame_socket import FrameServer
+from hw.camera.libcamera import open_libcamera
+from hw.twin.camera_device import DiveCamera, FrameClock
+from hw.twin.dive import RobotPose
+from hw.twin.optics.lens import draw_lens
+from hw.twin.truth import Stage
 from tests.hw.camera.fake_v4l2 import FakeComputer, scene, through_yuyv
 
 SIZE = (96, 64)
@@ -27,9 +33,10 @@ class Rig(NamedTuple):
     plug: Callable[[], None]
     picture: Callable[[int], Image]  # what it shows at a lens position
     clock_ns: Callable[[], int] | None = None  # of its stamps, where it tells the time
+    settles: bool = False  # it shows where the lens was when a frame was exposed
 
 
-def twin_rig(tmp_path, source, closing):
+def socket_rig(tmp_path, source, closing):
     servers = []
 
     def plug():
@@ -39,6 +46,55 @@ def twin_rig(tmp_path, source, closing):
     plug()
     return Rig(
         lambda: open_camera("twin:r1", tmp_path, SIZE), lambda: servers[-1].close(), plug, scene, time.monotonic_ns
+    )
+
+
+class TwinsLens:
+    """Painter, motor of the lens and history of a camera of the twin, in a dive of its own time."""
+
+    def __init__(self):
+        self.now_ns, self.moves = 10**12, [(0, 0)]
+
+    def clock_ns(self):
+        return self.now_ns
+
+    def command(self, lens_position, t_ns):
+        self.moves.append((t_ns, lens_position))
+        return lens_position
+
+    def image_distance_m(self, t_ns, elevation_rad):
+        return next(lens_position for since_ns, lens_position in reversed(self.moves) if since_ns <= t_ns)
+
+    def expose(self, moment, lens_position, roi, *rest):
+        x, y, width, height = roi or (0, 0, *SIZE)
+        return scene(lens_position)[y : y + height, x : x + width]
+
+    def at(self, t_ns):
+        return [RobotPose(np.zeros(3), np.eye(3), 0.0, 0.0)]
+
+    def wait(self, t_ns):
+        """The water is as it was."""
+
+    @contextlib.contextmanager
+    def deliver(self, delivered_ns, latest_ns):
+        yield
+        self.now_ns = delivered_ns
+
+
+def dive_rig(tmp_path, closing):
+    """The camera of a dive behind its socket."""
+    water, servers = TwinsLens(), []
+    lens = draw_lens("imx519_640", np.random.default_rng(0))
+    lens = lens._replace(width=SIZE[0], height=SIZE[1], lowest=0, highest=20)
+    seen = (water, lens, water, water, (0.1, 0.0, 0.0), Stage((), ()), FrameClock(0), water.clock_ns, water.deliver)
+
+    def plug():
+        servers.append(closing(FrameServer(tmp_path / "r1.camera", DiveCamera(0, *seen))))
+        servers[-1].start()
+
+    plug()
+    return Rig(
+        lambda: open_camera("twin:r1", tmp_path, SIZE), lambda: servers[-1].close(), plug, scene, water.clock_ns, True
     )
 
 
@@ -60,15 +116,31 @@ def v4l2_rig():
         computer.plug,
         lambda lens_position: through_yuyv(scene(lens_position)),
         computer.clock,
+        True,
     )
 
 
-@pytest.fixture(params=["twin", "stack", "video", "v4l2"])
+def libcamera_rig(pi):
+    return Rig(
+        lambda: open_libcamera("0", SIZE, clock_ns=pi.clock),
+        lambda: setattr(pi, "gone", True),
+        lambda: setattr(pi, "gone", False),
+        scene,
+        pi.clock,
+        True,
+    )
+
+
+@pytest.fixture(params=["socket", "twin", "stack", "video", "v4l2", "libcamera"])
 def rig(request, closing, tmp_path):
+    if request.param == "socket":
+        return socket_rig(tmp_path, request.getfixturevalue("source"), closing)
     if request.param == "twin":
-        return twin_rig(tmp_path, request.getfixturevalue("source"), closing)
+        return dive_rig(tmp_path, closing)
     if request.param == "v4l2":
         return v4l2_rig()
+    if request.param == "libcamera":
+        return libcamera_rig(request.getfixturevalue("pi"))
     return file_rig(request.param, request.getfixturevalue(request.param))
 
 
@@ -88,6 +160,20 @@ class TestEveryCamera:
         frames = [camera.read() for _ in range(3)]
         assert frames[0].seq < frames[1].seq < frames[2].seq
         assert frames[0].t_ns < frames[1].t_ns < frames[2].t_ns
+
+    def test_it_says_what_its_stamps_mean(self, camera):
+        assert camera.stamp in ("exposure-start", "arrival")
+
+    def test_a_frame_is_exposed_after_the_lens_has_settled(self, rig, camera):
+        focus = camera.focus_range()
+        if focus is None or not rig.settles:
+            pytest.skip("nothing moves")
+        for lens_position in (focus.highest, focus.lowest):
+            camera.set_focus(lens_position)
+            set_ns = rig.clock_ns()
+            frame = camera.read(settle_s=0.1)
+            assert frame.t_ns >= set_ns + 100_000_000
+            assert np.array_equal(frame.image, rig.picture(lens_position))
 
     def test_a_region_is_that_part_of_the_frame(self, camera):
         whole = camera.read().image
@@ -187,7 +273,7 @@ def read_on(camera):
 def test_an_address_of_no_kind_names_the_kinds(url):
     with pytest.raises(CameraError) as caught:
         open_camera(url, NOWHERE, SIZE)
-    assert all(f"{scheme}:" in str(caught.value) for scheme in ("twin", "stack", "video", "v4l2"))
+    assert all(f"{scheme}:" in str(caught.value) for scheme in ("twin", "stack", "video", "v4l2", "libcamera"))
     assert "\n" not in str(caught.value)
 
 
