@@ -6,7 +6,7 @@ from pathlib import Path
 
 from agent.clock.clock import Clock, SystemClock
 from agent.core.config import MainsHz
-from hw.camera.camera import Camera, CameraError
+from hw.camera.camera import Camera, CameraError, Found
 
 SCHEMES = {  # scheme -> what follows it
     "twin": "ROBOT",
@@ -35,6 +35,13 @@ def open_camera(
             "correct width_px and height_px under [camera]"
         )
     return camera
+
+
+def plugged_in() -> list[Found]:
+    """The cameras of this computer, each opened for a moment, so that none may be in use."""
+    from hw.camera import libcamera, v4l2
+
+    return [*v4l2.plugged_in(), *libcamera.plugged_in()]
 
 
 def known_scheme(url: str) -> tuple[str, str]:

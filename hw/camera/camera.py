@@ -58,6 +58,20 @@ class CameraGone(CameraError):
     """No frame came in time, or the device went away; opening it again may help."""
 
 
+class Found(NamedTuple):
+    """A camera that is plugged in, and what came of opening it."""
+
+    name: str  # its own
+    address: str  # for `camera =` of the fleet file; empty: it cannot be used
+    facts: tuple[tuple[str, str], ...]  # what is known of it: what, and one line
+    shortcomings: tuple[str, ...]  # what it cannot do that a good camera can, a line each
+    refused: str = ""  # why it cannot be used
+
+
+def focus_fact(focus: FocusRange | None) -> tuple[str, str]:
+    return "focus", "fixed" if focus is None else f"{focus.lowest} to {focus.highest} in steps of {focus.step}"
+
+
 class Camera(Protocol):
     """What every backend offers. One thread uses a camera at a time."""
 

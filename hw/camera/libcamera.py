@@ -21,11 +21,13 @@ from hw.camera.camera import (
     CameraError,
     CameraGone,
     FocusRange,
+    Found,
     Frame,
     Image,
     Roi,
     Stamp,
     deliverable,
+    focus_fact,
     nearest,
     no_control,
 )
@@ -90,6 +92,24 @@ def find(place: str) -> tuple[int, str]:
         there = ", ".join(f"libcamera:{k} ({model})" for k, model in enumerate(known)) or "none at all"
         raise CameraGone(f"camera 'libcamera:{place}': is not there; there is {there}; see rpicam-hello --list-cameras")
     return number, known[number]
+
+
+def plugged_in(clock_ns: Callable[[], int] = machine.monotonic_ns) -> list[Found]:
+    """Every camera of libcamera, opened for a moment; none where picamera2 is not installed."""
+    try:
+        known = models()
+    except CameraError:
+        return []
+    return [_tried(number, model, clock_ns) for number, model in enumerate(known)]
+
+
+def _tried(number: int, model: str, clock_ns: Callable[[], int]) -> Found:
+    try:
+        with contextlib.closing(set_up(number, None, 50, clock_ns)) as camera:
+            facts = (("pictures", "{}x{}, 30/s".format(*camera.size)), focus_fact(camera.focus_range()))
+            return Found(model, f"libcamera:{number}", (*facts, ("stamps", camera.stamp)), camera.shortcomings)
+    except CameraError as error:
+        return Found(model, "", (), (), str(error))
 
 
 def open_libcamera(
@@ -183,6 +203,9 @@ class LibCamera:
             asked, got = wanted["ExposureTime"], held["ExposureTime"]
             if abs(got - asked) > HELD_WITHIN * asked:
                 lines.append(f"its exposure is not held: {got} us in place of {asked}")
+        if self._focus is not None and "LensPosition" not in about:  # it would take every position and go nowhere
+            self._focus = None
+            lines.append("libcamera's tuning file of its sensor says nothing of a lens (rpi.af): take its maker's file")
         self.shortcomings = (*lines, *([NO_FOCUS] if self._focus is None else []))
 
     def focus_range(self) -> FocusRange | None:

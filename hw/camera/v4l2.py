@@ -25,11 +25,13 @@ from hw.camera.camera import (
     CameraError,
     CameraGone,
     FocusRange,
+    Found,
     Frame,
     Image,
     Roi,
     Stamp,
     deliverable,
+    focus_fact,
     nearest,
 )
 from hw.camera.v4l2_node import (
@@ -97,9 +99,7 @@ def _unread(offers: list[v4l2.FormatOffer]) -> str:
     if any("Bayer" in offer.description for offer in offers):
         return f"gives the sensor's raw mosaic ({names}), as CSI cameras do; write libcamera:0 in the fleet file"
     if offers and all(offer.compressed for offer in offers):
-        return (
-            f"gives film alone ({names}), no whole pictures; use this camera's node of YUYV or MJPG, or another camera"
-        )
+        return f"gives film alone ({names}), no whole pictures; use its node of YUYV or MJPG, or another camera"
     return f"gives {names}, and none of YUYV, UYVY, NV12 and MJPG; use another camera"
 
 
@@ -402,6 +402,11 @@ class V4l2Camera:
     def stamp(self) -> Stamp:
         return self._stream.stamp
 
+    @property
+    def exposure_ns(self) -> int:
+        """For how long frames are exposed; 0: it does not tell."""
+        return self._stream.exposure_ns
+
     def focus_range(self) -> FocusRange | None:
         return self._focus
 
@@ -435,3 +440,58 @@ def shortcomings(focus: FocusRange | None, form: Format, clock_known: bool) -> l
     if not clock_known:
         lines.append("its driver stamps frames by an unknown clock: their arrival counts, some milliseconds late")
     return lines
+
+
+# --- what is plugged in ---
+
+LISTED_SIZE = (640, 480)  # in which a camera is tried
+
+
+def plugged_in(system: System = LINUX, clock_ns: Callable[[], int] = machine.monotonic_ns) -> list[Found]:
+    """Every node that gives pictures, opened for a moment."""
+    found: list[Found] = []
+    there: list[tuple[str, Identity, bool]] = []  # path, and whether a format of it is read
+    for path in system.nodes():
+        try:
+            device = v4l2.opened(path, system)
+        except CameraGone:
+            continue
+        except CameraError as error:
+            found.append(Found(path, "", (), (), str(error)))
+            continue
+        with contextlib.closing(device), contextlib.suppress(OSError):  # not a video device, whatever its name
+            who = v4l2.identity(device)
+            if who.captures:
+                there.append((path, who, v4l2.useful(device, who)))
+    for path, who, read in there:
+        same = [other for _, other, also in there if also and other.card == who.card]
+        address = f"v4l2:{who.bus if len(same) > 1 else who.card}" if read else f"v4l2:{path}"
+        found.append(_tried(path, who, address, system, clock_ns))
+    return found
+
+
+def _tried(path: str, who: Identity, address: str, system: System, clock_ns: Callable[[], int]) -> Found:
+    facts = [("at", f"{path}, {who.driver}, {who.bus}")]
+    try:
+        device, _ = find(path, system)
+        with contextlib.suppress(OSError):
+            facts += [("format", _listed(device, offer.fourcc)) for offer in v4l2.format_offers(device, who.buffers)]
+        with contextlib.closing(set_up(device, who, LISTED_SIZE, 50, system, clock_ns)) as camera:
+            (width, height), form = camera.size, camera.form
+            facts += [
+                ("pictures", f"{width}x{height} {v4l2.name_of(form.fourcc)}, {1e9 / form.period_ns:.3g}/s"),
+                focus_fact(camera.focus_range()),
+                ("exposure", f"{camera.exposure_ns * 1e-6:g} ms now" if camera.exposure_ns else "cannot be set"),
+                ("stamps", camera.stamp),
+            ]
+            return Found(who.card, address, tuple(facts), camera.shortcomings)
+    except CameraError as error:
+        return Found(who.card, "", tuple(facts), (), str(error))
+
+
+def _listed(device: Device, fourcc: int) -> str:
+    sizes = []
+    for width, height in v4l2.size_offers(device, fourcc):
+        hz = v4l2.rate_offer(device, fourcc, (width, height))
+        sizes.append(f"{width}x{height} {hz:.3g}/s" if hz else f"{width}x{height}")
+    return f"{v4l2.name_of(fourcc)} {', '.join(sizes)}" if fourcc in ENCODINGS else f"{v4l2.name_of(fourcc)}, not read"

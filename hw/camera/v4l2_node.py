@@ -282,7 +282,7 @@ def find(place: str, system: System = LINUX) -> tuple[Device, Identity]:
 
 
 def _at_path(path: str, system: System) -> tuple[Device, Identity]:
-    device = _opened(path, system)
+    device = opened(path, system)
     try:
         who = identity(device)
         if who.captures:
@@ -294,7 +294,8 @@ def _at_path(path: str, system: System) -> tuple[Device, Identity]:
     raise CameraError(f"{path}: {why}; see v4l2-ctl --list-devices")
 
 
-def _opened(path: str, system: System) -> Device:
+def opened(path: str, system: System) -> Device:
+    """Raises CameraError where we may not, CameraGone where nothing is."""
     try:
         return system.attach(path)
     except PermissionError:
@@ -308,7 +309,7 @@ def _by_name(name: str, system: System) -> tuple[Device, Identity]:
     there: list[str] = []  # what could not be it
     for path in system.nodes():
         try:
-            device = _opened(path, system)
+            device = opened(path, system)
         except CameraGone:
             continue
         except CameraError as error:
@@ -324,19 +325,19 @@ def _by_name(name: str, system: System) -> tuple[Device, Identity]:
         device.close()
         if who.captures:
             there.append(f"'{who.card}' at {who.bus}")
-    useful = found if len(found) < 2 else [one for one in found if _useful(*one)]
+    read = found if len(found) < 2 else [one for one in found if useful(*one)]
     for device, _ in found:
-        if len(useful) != 1 or device is not useful[0][0]:
+        if len(read) != 1 or device is not read[0][0]:
             device.close()
-    if len(useful) == 1:
-        return useful[0]
+    if len(read) == 1:
+        return read[0]
     if found:
         ports = " or ".join(f"v4l2:{who.bus}" for _, who in found)
         raise CameraError(f"{len(found)} cameras are called '{name}'; name one by its port: {ports}")
     raise CameraGone(f"no camera is called '{name}'; there is {', '.join(there) or 'none at all'}")
 
 
-def _useful(device: Device, who: Identity) -> bool:
+def useful(device: Device, who: Identity) -> bool:
     """Whether we read one of its formats: a webcam may have a node of H.264 beside that of its pictures."""
     try:
         return any(offer.fourcc in ENCODINGS for offer in format_offers(device, who.buffers))

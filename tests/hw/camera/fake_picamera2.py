@@ -96,7 +96,7 @@ class FakePicamera2:
         if self.computer.keeps_us and not self.set["AeEnable"]:
             about["ExposureTime"] = self.computer.keeps_us
         about["SensorTimestamp"] = began_ns + about["ExposureTime"] * 1000
-        if "LensPosition" in self.camera_controls:
+        if "LensPosition" in self.camera_controls and self.computer.tuned:
             about["LensPosition"] = told
         else:
             del about["LensPosition"]
@@ -112,6 +112,7 @@ class FakePi:
     def __init__(self):
         self.clock = Clock()
         self.gone = self.in_use = False
+        self.tuned = True  # its tuning file knows the lens
         self.keeps_us = 0  # the exposure that it has, whatever is asked for
         self.camera = None
         span = (0, 0, 0)

@@ -1,6 +1,7 @@
 """One contract, every backend: what an agent relies on, whatever is behind the camera."""
 
 import contextlib
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -10,7 +11,8 @@ import cv2
 import numpy as np
 import pytest
 
-from hw.camera import open_camera
+from agent.__main__ import main
+from hw.camera import libcamera, open_camera, v4l2, v4l2_node
 from hw.camera.camera import Camera, CameraError, CameraGone, FocusRange, Image, Roi, deliverable, nearest
 from hw.camera.files import open_stack, open_video
 from hw.camera.frame_socket import FrameServer
@@ -19,7 +21,7 @@ from hw.twin.camera_device import DiveCamera, FrameClock
 from hw.twin.dive import RobotPose
 from hw.twin.optics.lens import draw_lens
 from hw.twin.truth import Stage
-from tests.hw.camera.fake_v4l2 import FakeComputer, scene, through_yuyv
+from tests.hw.camera.fake_v4l2 import FakeCamera, FakeComputer, fourcc, scene, through_yuyv
 
 SIZE = (96, 64)
 NOWHERE = Path("/nonexistent")
@@ -441,3 +443,68 @@ def test_what_is_no_video(tmp_path):
     (tmp_path / "text.mp4").write_text("not a video")
     with pytest.raises(CameraError, match="not a video"):
         open_video(tmp_path / "text.mp4")
+
+
+# --- what is plugged in ---
+
+LISTED = """\
+Deep Webcam
+  at        /dev/video7, fake, usb-0000:00:14.0-1
+  format    YUYV 96x64 30/s, 1280x960 5/s
+  format    MJPG 96x64 30/s, 1280x960 30/s
+  pictures  96x64 YUYV, 30/s
+  focus     0 to 20 in steps of 5
+  exposure  10 ms now
+  stamps    exposure-start
+  warning   it has no control of gain; what changes by itself in a sweep spoils its peak
+  write     camera = "v4l2:Deep Webcam"
+Deep Webcam
+  at        /dev/video8, fake, usb-0000:00:14.0-1
+  format    H264, not read
+  refused   /dev/video8: gives film alone (H264), no whole pictures; use its node of YUYV or MJPG, or another camera
+imx708
+  pictures  640x480, 30/s
+  focus     0 to 30 in steps of 3
+  stamps    exposure-start
+  write     camera = "libcamera:0"
+"""
+
+
+def list_them(monkeypatch, capsys, *found):
+    monkeypatch.setattr("hw.camera.plugged_in", lambda: [one for some in found for one in some])
+    monkeypatch.setattr("sys.argv", ["aucamp", "calibrate", "cameras"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code or 0, capsys.readouterr()
+
+
+def test_what_is_plugged_in_is_listed_with_the_address_to_write(computer, device, pi, monkeypatch, capsys):
+    film, about, locked = (FakeCamera(f"/dev/video{k}", computer.clock) for k in (8, 9, 10))
+    film.formats = {fourcc("H264"): {(96, 64): 30}}
+    about.capabilities = v4l2_node.CAP_STREAMING
+    computer.there |= {camera.path: camera for camera in (film, about)}
+    found = v4l2.plugged_in(computer.system, computer.clock)
+    code, said = list_them(monkeypatch, capsys, found, libcamera.plugged_in(pi.clock))
+    assert (code, said.out) == (0, LISTED)
+    assert not device.opened and device.value(v4l2_node.EXPOSURE_AUTO) == 3
+    locked.forbidden = True
+    computer.there = {locked.path: locked}
+    code, said = list_them(monkeypatch, capsys, v4l2.plugged_in(computer.system, computer.clock))
+    assert code == 1 and "refused   /dev/video10: you may not open it; join its group" in said.out
+
+
+def test_two_of_one_name_are_listed_by_their_ports(computer):
+    other = FakeCamera("/dev/video8", computer.clock)
+    other.bus = "usb-0000:00:14.0-2"
+    computer.there[other.path] = other
+    found = v4l2.plugged_in(computer.system, computer.clock)
+    assert [one.address for one in found] == ["v4l2:usb-0000:00:14.0-1", "v4l2:usb-0000:00:14.0-2"]
+    for one in found:
+        computer.open(one.address.partition(":")[2]).close()
+
+
+def test_nothing_plugged_in_is_one_line_and_no(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "picamera2", None)
+    code, said = list_them(monkeypatch, capsys, libcamera.plugged_in())
+    assert (code, said.out) == (1, "")
+    assert said.err.startswith("aucamp: no camera is plugged in;") and said.err.count("\n") == 1

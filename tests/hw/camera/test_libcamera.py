@@ -63,6 +63,14 @@ def test_what_it_cannot_hold_is_said_and_a_fixed_lens_too(pi, open_it, caplog):
         camera.set_focus(0)
 
 
+def test_a_lens_that_the_tuning_file_does_not_know_is_no_focus(pi, open_it):
+    """An IMX519 with the stock file: positions are taken without a word, and the lens stays."""
+    pi.tuned = False
+    camera = open_it()
+    assert camera.focus_range() is None
+    assert "tuning file of its sensor says nothing of a lens (rpi.af)" in camera.shortcomings[0]
+
+
 def test_an_exposure_that_is_not_held_is_said(pi, open_it, monkeypatch):
     monkeypatch.setitem(MEASURED, "ExposureTime", 8000)
     pi.keeps_us = 20_000

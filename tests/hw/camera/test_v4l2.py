@@ -60,7 +60,7 @@ class TestFormat:
     @pytest.mark.parametrize(
         ("formats", "says"),
         [
-            (["H264"], r"gives film alone \(H264\), no whole pictures; use this camera's node of YUYV or MJPG"),
+            (["H264"], r"gives film alone \(H264\), no whole pictures; use its node of YUYV or MJPG"),
             (["RG10"], r"raw mosaic \(RG10\), as CSI cameras do; write libcamera:0 in the fleet file"),
             (["RGB3", "H264"], "gives RGB3, H264, and none of YUYV, UYVY, NV12 and MJPG; use another camera"),
         ],
