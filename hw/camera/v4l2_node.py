@@ -28,7 +28,7 @@ CAPABILITY = struct.Struct("@16s32s32s3I12x")  # driver card bus_info version ca
 # bytesperline ...
 FORMAT = struct.Struct("@I0L12I152x")
 FORMAT_OFFER = struct.Struct("@3I32sI16x")  # index type flags description fourcc
-SIZE_OFFER = struct.Struct("@5I24x")  # index fourcc type width height
+SIZE_OFFER = struct.Struct("@9I8x")  # index fourcc type, width height or of a range width 3* height 3*
 RATE_OFFER = struct.Struct("@7I24x")  # index fourcc width height type, period: numerator denominator
 STREAM_PARAMETERS = struct.Struct("@7I176x")  # type capability mode, period: numerator denominator, mode buffers
 REQUEST_BUFFERS = struct.Struct("@4I4x")  # count type memory capabilities
@@ -70,7 +70,7 @@ BUF_FLAG_TSTAMP_SRC_MASK = 0x7_0000
 BUF_FLAG_TSTAMP_SRC_SOE = 0x1_0000  # stamped at the start of the exposure, it says; else when the last byte had come
 
 FMT_FLAG_COMPRESSED = 0x0001  # flag of a format
-DISCRETE = 1  # type of a size or a rate that is one of a list
+DISCRETE = 1  # type of a size that is one of a list; else they are a range
 
 # flags of a control
 UNUSABLE = 0x0001 | 0x0004  # DISABLED, READ_ONLY
@@ -181,7 +181,8 @@ def format_offers(device: Device, buffers: int) -> list[FormatOffer]:
 
 def size_offers(device: Device, fourcc: int) -> list[tuple[int, int]]:
     """Width and height, pixels, of what a format comes in; of a range its smallest alone. Raises OSError."""
-    return [(w, h) for _, _, _, w, h in _listed(device, ENUM_FRAMESIZES, SIZE_OFFER, fourcc, 0, 0, 0)]
+    sizes = _listed(device, ENUM_FRAMESIZES, SIZE_OFFER, fourcc, *7 * (0,))
+    return [(width, height if kind == DISCRETE else lowest) for _, _, kind, width, height, _, lowest, *_ in sizes]
 
 
 def rate_offer(device: Device, fourcc: int, size: tuple[int, int]) -> float:

@@ -55,6 +55,7 @@ class FakeCamera:
         self.clock = clock or Clock()
         self.capabilities = v4l2.CAP_VIDEO_CAPTURE | v4l2.CAP_STREAMING
         self.formats = {YUYV: {(96, 64): 30, (1280, 960): 5}, MJPG: {(96, 64): 30, (1280, 960): 30}}  # frames/s
+        self.ranges = False  # its sizes are ranges
         self.planes = False  # its queue is multi-planar
         self.padding = 0  # bytes at the end of a row
         self.hold = 0  # frames that it keeps before it sends them
@@ -167,7 +168,11 @@ class FakeCamera:
 
     def offer_size(self, argument):
         sizes = self.formats.get(struct.unpack_from("I", argument, 4)[0], {})
-        struct.pack_into("3I", argument, 8, v4l2.DISCRETE, *self.entry(list(sizes), argument, 0))
+        width, height = self.entry(list(sizes), argument, 0)
+        if self.ranges:
+            struct.pack_into("7I", argument, 8, 3, width, 4096, 2, height, 4096, 2)
+        else:
+            struct.pack_into("3I", argument, 8, v4l2.DISCRETE, width, height)
 
     def offer_rate(self, argument):
         kind, *size = struct.unpack_from("3I", argument, 4)

@@ -495,10 +495,11 @@ def test_what_is_plugged_in_is_listed_with_the_address_to_write(computer, device
 
 def test_two_of_one_name_are_listed_by_their_ports(computer):
     other = FakeCamera("/dev/video8", computer.clock)
-    other.bus = "usb-0000:00:14.0-2"
+    other.bus, other.ranges = "usb-0000:00:14.0-2", True
     computer.there[other.path] = other
     found = v4l2.plugged_in(computer.system, computer.clock)
     assert [one.address for one in found] == ["v4l2:usb-0000:00:14.0-1", "v4l2:usb-0000:00:14.0-2"]
+    assert all(("format", "YUYV 96x64 30/s, 1280x960 5/s") in one.facts for one in found)
     for one in found:
         computer.open(one.address.partition(":")[2]).close()
 
