@@ -248,8 +248,9 @@ def list_cameras() -> None:
         raise Failed("no camera is plugged in; a CSI camera also needs picamera2, see docs/cameras.md")
     for one in found:
         typer.echo(one.name)
-        refused = [("refused", one.refused)] if one.refused else [("write", f'camera = "{one.address}"')]
-        for what, line in (*one.facts, *(("warning", line) for line in one.shortcomings), *refused):
+        warnings = [("warning", line) for line in one.shortcomings]
+        works = [*one.facts, *warnings, ("write", f'camera = "{one.address}"')]
+        for what, line in [("refused", one.refused)] if one.refused else works:
             typer.echo(f"  {what:<9} {line}")
     if not any(one.address for one in found):
         raise typer.Exit(1)

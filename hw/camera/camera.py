@@ -72,6 +72,11 @@ def focus_fact(focus: FocusRange | None) -> tuple[str, str]:
     return "focus", "fixed" if focus is None else f"{focus.lowest} to {focus.highest} in steps of {focus.step}"
 
 
+def exposure_fact(exposure_ns: int) -> tuple[str, str]:
+    """exposure_ns: for how long frames are exposed; 0: nobody can set it."""
+    return "exposure", f"can be set, {exposure_ns * 1e-6:g} ms now" if exposure_ns else "cannot be set"
+
+
 class Camera(Protocol):
     """What every backend offers. One thread uses a camera at a time."""
 

@@ -27,6 +27,7 @@ from hw.camera.camera import (
     Roi,
     Stamp,
     deliverable,
+    exposure_fact,
     focus_fact,
     nearest,
     no_control,
@@ -106,8 +107,13 @@ def plugged_in(clock_ns: Callable[[], int] = machine.monotonic_ns) -> list[Found
 def _tried(number: int, model: str, clock_ns: Callable[[], int]) -> Found:
     try:
         with contextlib.closing(set_up(number, None, 50, clock_ns)) as camera:
-            facts = (("pictures", "{}x{}, 30/s".format(*camera.size)), focus_fact(camera.focus_range()))
-            return Found(model, f"libcamera:{number}", (*facts, ("stamps", camera.stamp)), camera.shortcomings)
+            facts = (
+                ("pictures", "{}x{}, 30/s".format(*camera.size)),
+                focus_fact(camera.focus_range()),
+                exposure_fact(camera.exposure_ns),
+                ("stamps", camera.stamp),
+            )
+            return Found(model, f"libcamera:{number}", facts, camera.shortcomings)
     except CameraError as error:
         return Found(model, "", (), (), str(error))
 
@@ -180,6 +186,7 @@ class LibCamera:
         undo: contextlib.ExitStack,
     ) -> None:
         self.size: tuple[int, int] = tuple(device.camera_configuration()["main"]["size"])
+        self.exposure_ns = 0  # for how long frames are exposed, once it is held; 0: it cannot be set
         self.shortcomings: tuple[str, ...] = ()  # what it cannot do that a good camera can, a line each
         self._device, self._name, self._focus, self._clock_ns, self._undo = device, name, focus, clock_ns, undo
         self._wanted: int | None = None  # lens position that was asked for and that no frame has told yet
@@ -200,6 +207,7 @@ class LibCamera:
         held = self._pass_over(2 * BUFFERS)
         lines = [no_control(missing)] if missing else []
         if "ExposureTime" in wanted:
+            self.exposure_ns = held["ExposureTime"] * 1000
             asked, got = wanted["ExposureTime"], held["ExposureTime"]
             if abs(got - asked) > HELD_WITHIN * asked:
                 lines.append(f"its exposure is not held: {got} us in place of {asked}")

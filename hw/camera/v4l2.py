@@ -31,6 +31,7 @@ from hw.camera.camera import (
     Roi,
     Stamp,
     deliverable,
+    exposure_fact,
     focus_fact,
     nearest,
 )
@@ -481,12 +482,12 @@ def _tried(path: str, who: Identity, address: str, system: System, clock_ns: Cal
             facts += [
                 ("pictures", f"{width}x{height} {v4l2.name_of(form.fourcc)}, {1e9 / form.period_ns:.3g}/s"),
                 focus_fact(camera.focus_range()),
-                ("exposure", f"{camera.exposure_ns * 1e-6:g} ms now" if camera.exposure_ns else "cannot be set"),
+                exposure_fact(camera.exposure_ns),
                 ("stamps", camera.stamp),
             ]
             return Found(who.card, address, tuple(facts), camera.shortcomings)
     except CameraError as error:
-        return Found(who.card, "", tuple(facts), (), str(error))
+        return Found(who.card, "", (), (), str(error))
 
 
 def _listed(device: Device, fourcc: int) -> str:

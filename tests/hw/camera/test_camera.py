@@ -454,17 +454,16 @@ Deep Webcam
   format    MJPG 96x64 30/s, 1280x960 30/s
   pictures  96x64 YUYV, 30/s
   focus     0 to 20 in steps of 5
-  exposure  10 ms now
+  exposure  can be set, 10 ms now
   stamps    exposure-start
   warning   it has no control of gain; what changes by itself in a sweep spoils its peak
   write     camera = "v4l2:Deep Webcam"
 Deep Webcam
-  at        /dev/video8, fake, usb-0000:00:14.0-1
-  format    H264, not read
   refused   /dev/video8: gives film alone (H264), no whole pictures; use its node of YUYV or MJPG, or another camera
 imx708
   pictures  640x480, 30/s
   focus     0 to 30 in steps of 3
+  exposure  can be set, 8 ms now
   stamps    exposure-start
   write     camera = "libcamera:0"
 """
