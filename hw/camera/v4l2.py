@@ -82,7 +82,7 @@ def negotiate(device: Device, buffers: int, size: tuple[int, int] | None) -> For
     """
     try:
         wanted = size or _current_size(device, buffers)
-        offers = [offer for fourcc in ENCODINGS if (offer := _set(device, buffers, fourcc, wanted)).fourcc == fourcc]
+        offers = [offer for fourcc in ENCODINGS if (offer := _offer(device, buffers, fourcc, wanted)) is not None]
         if not offers:
             raise CameraError(f"{device.path}: {_unread(v4l2.format_offers(device, buffers))}")
         best = min(offers, key=lambda o: (o.size != wanted, o.period_ns > SLOWEST_NS, ENCODINGS.index(o.fourcc)))
@@ -129,6 +129,17 @@ def _current_size(device: Device, buffers: int) -> tuple[int, int]:
     device.ioctl(v4l2.G_FMT, argument)
     _, width, height, *_ = FORMAT.unpack(argument)
     return width, height
+
+
+def _offer(device: Device, buffers: int, fourcc: int, size: tuple[int, int]) -> Format | None:
+    """What a driver makes of a format; None if it does not have it, which some say by an error."""
+    try:
+        offer = _set(device, buffers, fourcc, size)
+    except OSError as error:
+        if error.errno == errno.EINVAL:
+            return None
+        raise
+    return offer if offer.fourcc == fourcc else None
 
 
 def _set(device: Device, buffers: int, fourcc: int, size: tuple[int, int]) -> Format:

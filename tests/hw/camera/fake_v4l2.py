@@ -55,6 +55,7 @@ class FakeCamera:
         self.clock = clock or Clock()
         self.capabilities = v4l2.CAP_VIDEO_CAPTURE | v4l2.CAP_STREAMING
         self.formats = {YUYV: {(96, 64): 30, (1280, 960): 5}, MJPG: {(96, 64): 30, (1280, 960): 30}}  # frames/s
+        self.strict = False  # it refuses formats that it does not have, and takes no other in their place
         self.ranges = False  # its sizes are ranges
         self.planes = False  # its queue is multi-planar
         self.padding = 0  # bytes at the end of a row
@@ -203,6 +204,8 @@ class FakeCamera:
         if self.in_use:
             raise OSError(errno.EBUSY, "Device or resource busy")
         width, height, kind = struct.unpack_from("3I", argument, 8)
+        if self.strict and kind not in self.formats:
+            raise OSError(errno.EINVAL, "Invalid argument")
         self.fourcc = kind if kind in self.formats else next(iter(self.formats))
         sizes = self.formats[self.fourcc]
         self.size = min(sizes, key=lambda size: abs(size[0] - width) + abs(size[1] - height))

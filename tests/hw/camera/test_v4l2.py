@@ -25,7 +25,8 @@ class TestFormat:
     @pytest.mark.parametrize("encoding", [YUYV, UYVY, NV12, MJPG])
     def test_colours_are_right(self, computer, device, encoding, planes):
         """Also where rows are padded, and of a queue that is multi-planar."""
-        device.planes, device.padding = planes, 32
+        device.planes = device.strict = planes
+        device.padding = 32
         device.formats = {fourcc("RG10"): {(96, 64): 30}, encoding: {(96, 64): 30}}
         camera = computer.open()
         camera.set_focus(20)
