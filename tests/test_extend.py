@@ -163,9 +163,9 @@ def test_what_is_said_of_a_wrong_camera(clone: Clone) -> None:
 
     def said(url: str) -> str:
         opened = f"open_camera({url!r}, Path(), (640, 480))"
-        return clone.run("-c", f"from pathlib import Path; from hw.camera.open import open_camera; {opened}")
+        return clone.run("-c", f"from pathlib import Path; from hw.camera import open_camera; {opened}")
 
-    known = "twin:ROBOT, stack:DIR, video:FILE, v4l2:/dev/video0 or NAME, stills:DIR"
+    known = "twin:ROBOT, stack:DIR, video:FILE, v4l2:/dev/video0 or NAME, libcamera:0, stills:DIR"
     assert told(f"camera 'still:pictures': no such kind of camera; write one of {known}") in said("still:pictures")
     empty = "no pictures in this folder; it needs a PNG, JPEG, BMP, TIFF or WebP"
     assert told(f"camera 'stills:empty': empty: {empty}") in said("stills:empty")

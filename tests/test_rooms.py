@@ -20,7 +20,6 @@ SMALL_LINES = 60
 SMALL = {
     "agent/clock/machine.py": "the one import of `time`: tests and import contracts name it",
     "hw/board_files.py": "a program: python -m hw.board_files",
-    "hw/camera/open.py": "the table of camera backends, which import the protocol that a backend imports",
 }
 BOARD = "hw/firmware/"  # MicroPython finds modules beside main.py, and loads one at a time into little memory
 CONTRACTS = tomllib.loads((ROOT / "pyproject.toml").read_text())["tool"]["importlinter"]["contracts"]

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, get_args
 import typer
 
 from agent.core.config import ConfigError, to_install
-from agent.process.command import complain, refuse_options, terminal
+from agent.process.command import Failed, complain, refuse_options, terminal
 
 app = typer.Typer()
 
@@ -140,8 +140,9 @@ def train(
 # --- calibrate ---
 # `aucamp calibrate KIND`.
 
-Kind = Literal["run", "focus", "camera", "gamma", "body", "landmarks"]
+Kind = Literal["cameras", "run", "focus", "camera", "gamma", "body", "landmarks"]
 CALIBRATE_TAKES: dict[Kind, tuple[str, ...]] = {
+    "cameras": (),
     "run": ("--robot",),
     "focus": (),
     "camera": ("--board",),
@@ -154,7 +155,7 @@ CALIBRATE_TAKES: dict[Kind, tuple[str, ...]] = {
 @app.command(no_args_is_help=True, epilog="Example: aucamp calibrate run fleet.toml --robot r1")
 def calibrate(
     kind: Annotated[Kind, typer.Argument(help="What is measured.")],
-    source: Annotated[str, typer.Argument(metavar="SOURCE", help="What it is measured from, as above.")],
+    source: Annotated[str, typer.Argument(metavar="SOURCE", help="What it is measured from, as above.")] = "",
     fleet: Annotated[
         Path | None, typer.Argument(metavar="[FLEET]", help="landmarks: the fleet file that lists the tags.")
     ] = None,
@@ -186,6 +187,8 @@ def calibrate(
     """Measure what a camera, a body or a tank really is; each kind writes its own table of a file.
 
     \b
+    cameras                 measures nothing: lists what is plugged in, what
+                            works, and the address for the fleet file
     run FLEET               lens and gimbal: a board at known distances, focus
                             swept; on the twin's bench for a twin's camera
     focus TABLE             range against lens position: CSV with u_mm, code
@@ -198,8 +201,14 @@ def calibrate(
     """
     given: dict[str, object] = {"FLEET": fleet, "--robot": robot, "--board": board, "--calibration": calibration}
     given |= {"--known": known or None, "--no-flat": no_flat, "--lens": lens, "--frames": frames}
+    if kind == "cameras":
+        given |= {"SOURCE": source or None, "--out": out}
+    elif not source:
+        raise ConfigError(f"calibrate {kind}: say what it is measured from, the SOURCE; see aucamp calibrate --help")
     refuse_options(f"calibrate {kind}", given, CALIBRATE_TAKES[kind])
-    if kind == "run":
+    if kind == "cameras":
+        list_cameras()
+    elif kind == "run":
         from agent.tools import bench_calibration
 
         if robot is None:
@@ -228,6 +237,23 @@ def calibrate(
             raise ConfigError("calibrate landmarks: say which fleet file lists the tags, after the source")
         asked = tag_map.Asked(calibration, tuple(known or ()), not no_flat, lens, frames, out)
         tag_map.run(source, fleet, asked, terminal())
+
+
+def list_cameras() -> None:
+    """What is plugged in, and which address to write. Raises Failed if nothing is; exit 1 if nothing can be used."""
+    from hw.camera import plugged_in
+
+    found = plugged_in()
+    if not found:
+        raise Failed("no camera is plugged in; a CSI camera also needs picamera2, see docs/cameras.md")
+    for one in found:
+        typer.echo(one.name)
+        warnings = [("warning", line) for line in one.shortcomings]
+        works = [*one.facts, *warnings, ("write", f'camera = "{one.address}"')]
+        for what, line in [("refused", one.refused)] if one.refused else works:
+            typer.echo(f"  {what:<9} {line}")
+    if not any(one.address for one in found):
+        raise typer.Exit(1)
 
 
 SQUARE_MM = (3.0, 200.0)  # of boards in use

@@ -28,6 +28,7 @@ Device = Annotated[str, Meta(min_length=1)]
 Protocol = Literal["paper", "metropolis", "evidence"]
 Colour = Literal["red", "orange", "yellow", "green"]
 Cues = Literal["both", "focus", "size"]
+MainsHz = Literal[50, 60]
 Face = Literal["x0", "x1", "y0", "y1", "floor"]  # walls at x = 0 and the far end of x, likewise y
 WaterKind = Literal["air", "tap", "pool", "coastal", "turbid"]
 Coefficient = Annotated[float, Meta(gt=0, le=20)]
@@ -133,6 +134,7 @@ class Camera(Struct, frozen=True, kw_only=True):
     settle_s: Positive = 0.05  # lens at rest after a focus command
     sweep_steps: Annotated[int, Meta(ge=8)] = 30
     row_time_us: Annotated[float, Meta(ge=0)] = 0.0  # from row to row of a rolling shutter; 0: all rows at once
+    mains_hz: MainsHz = 50  # what lamps flicker by, where the fleet dives
     enhance: bool = False  # look again, enhanced, where a frame shows no target; clarity is always the raw frame's
 
 

@@ -43,7 +43,7 @@ from agent.process.command import shipped_fleet, temporary_folder
 from agent.robot.fleet_reader import load_fleet
 from agent.tools.bench_calibration import BACKLASH_US, calibrate, focus_rows
 from agent.tools.focus_calibration import FocusRow
-from hw.camera.camera import PATIENCE_S, CameraError, FocusRange, Frame, Roi, deliverable
+from hw.camera.camera import PATIENCE_S, CameraError, FocusRange, Frame, Roi, Stamp, deliverable
 from hw.stm32.protocol import HostProtocol
 from hw.twin.board import Board, interpreter
 from hw.twin.calibration_bench import Bench
@@ -77,6 +77,7 @@ class PosedRobot:
         self._lens = draw_lens(self._scene.camera, generator(seed, name, "lens"))
         self._vcm = Vcm(self._lens, generator(seed, name, "vcm"))
         self.size = (self._lens.width, self._lens.height)
+        self.stamp: Stamp = "exposure-start"
         self._bench = self._with(in_daylight(msgspec.structs.replace(self._scene, solid=(), creature=())), 0)
 
     def calibrate(self) -> Calibration:

@@ -20,7 +20,7 @@ from agent.perception.depth_peaks import measure_growth
 from agent.perception.depth_sweep import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS
 from agent.process.command import Failed, shipped_fleet
 from agent.robot.fleet_reader import load_fleet
-from hw.camera.camera import PATIENCE_S, FocusRange, Frame, Image, Roi, deliverable
+from hw.camera.camera import PATIENCE_S, FocusRange, Frame, Image, Roi, Stamp, deliverable
 from hw.twin.optics.lens import Lens, Vcm, draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.optics.raycast import Eye, Floats
@@ -49,6 +49,7 @@ class StillCamera:
         scene = msgspec.structs.replace(scene or load_scene("tank"), camera=sensor)
         self.lens = draw_lens(sensor, generator(seed, robot, "lens"))
         self.size = (self.lens.width, self.lens.height)
+        self.stamp: Stamp = "exposure-start"
         self.view = TankView((0.1, 0.6, 0.25), 0.0)
         self._vcm = Vcm(self.lens, generator(seed, robot, "vcm"))
         self._painter = Painter(scene, fleet.tank, fleet.water.refractive_index, self.lens, seed, robot)

@@ -34,8 +34,8 @@ from agent.ground.check_files import (
 )
 from agent.robot.arbiter import broken_extend_rules
 from agent.robot.fleet_reader import broken_rules, load_fleet, load_robot, read_fleet, two_worlds
+from hw.camera import known_scheme, libcamera, open_camera
 from hw.camera.camera import CameraError
-from hw.camera.open import known_scheme, open_camera
 from hw.camera.v4l2_node import find
 from hw.twin.twin_folder import twin_dir
 
@@ -122,9 +122,11 @@ def camera(fleet: Fleet, name: str) -> str:
         device, who = find(place)
         device.close()
         return f"{url} is '{who.card}' at {device.path}"
+    if scheme == "libcamera":
+        return f"{url} is '{libcamera.find(place)[1]}'"
     if scheme == "twin":
         return f"{url} in the twin"
-    open_camera(url, twin_dir(fleet), size).close()
+    open_camera(url, twin_dir(fleet), size, mains_hz=fleet.camera.mains_hz).close()
     return f"{url} gives pictures of {size[0]}x{size[1]} pixels"
 
 

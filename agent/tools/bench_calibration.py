@@ -35,8 +35,8 @@ from agent.process.launch import crew, wait_for
 from agent.robot.fleet_reader import load_fleet, load_robot
 from agent.tools.camera_calibration import Corner, fit_camera
 from agent.tools.focus_calibration import FocusRow, fit_focus
+from hw.camera import open_camera
 from hw.camera.camera import Camera, FocusRange, Roi
-from hw.camera.open import open_camera
 from hw.stm32.driver import Stm32, open_port_path
 from hw.twin.calibration_bench import BenchClient
 from hw.twin.twin_folder import twin_dir
@@ -261,7 +261,7 @@ def bench_by_hand(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place]]:
     """A real camera: asks for the board on the terminal. Raises CameraError, ConfigError for a port."""
     robot = fleet.robot[name]
     with ExitStack() as stack:
-        camera = open_camera(robot.camera, twin_dir(fleet), size(fleet))
+        camera = open_camera(robot.camera, twin_dir(fleet), size(fleet), mains_hz=fleet.camera.mains_hz)
         stack.callback(camera.close)
         clock = SystemClock()
         module = stack.enter_context(Stm32(open_port_path(robot.serial, twin_dir(fleet)), clock))

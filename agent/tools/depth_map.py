@@ -22,8 +22,8 @@ from agent.perception.depth_sweep import DepthMap, OnStep, measure, sweep
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import parse_box
 from agent.process.command import Failed, new_file, plain_console, with_bar
+from hw.camera import open_camera
 from hw.camera.camera import Image
-from hw.camera.open import open_camera
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -19,6 +19,7 @@ from rich.console import Console
 from agent.core.config import ConfigError
 from agent.perception.enhancement.enhance import BUDGET_MS, Enhancer, Image, Variant, enhancer
 from agent.process.command import Progress, new_file, new_folder, with_bar
+from hw.camera import open_camera
 from hw.camera.camera import Camera, CameraGone, Frame
 from hw.camera.files import (
     SUFFIXES,
@@ -31,7 +32,6 @@ from hw.camera.files import (
     turned,
     write_picture,
 )
-from hw.camera.open import open_camera
 from replay.files.frames import CODECS, film
 
 # --- sources of pictures ---

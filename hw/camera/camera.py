@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from collections.abc import Sequence
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,6 +26,11 @@ class Roi(NamedTuple):
     height: int
 
 
+# What the source stamps. From "exposure-start" the time of a frame follows; from "arrival" it is an estimate, which is
+# right but for a lag that stays the same while size and rate do, and that a calibration can measure.
+Stamp = Literal["exposure-start", "arrival"]
+
+
 class FocusRange(NamedTuple):
     """Lens positions as the driver numbers them; calibration finds out which end is near."""
 
@@ -41,6 +47,9 @@ class Frame(NamedTuple):
     still: bool = False  # a recorded picture, which may come again and again; a sensor never sends one twice
 
 
+NO_FOCUS = "its focus cannot be set: distances come from the target's size alone"  # said when it is opened
+
+
 class CameraError(RuntimeError):
     """The camera cannot be opened or used; one line that says what to change."""
 
@@ -49,10 +58,33 @@ class CameraGone(CameraError):
     """No frame came in time, or the device went away; opening it again may help."""
 
 
+class Found(NamedTuple):
+    """A camera that is plugged in, and what came of opening it."""
+
+    name: str  # its own
+    address: str  # for `camera =` of the fleet file; empty: it cannot be used
+    facts: tuple[tuple[str, str], ...]  # what is known of it: what, and one line
+    shortcomings: tuple[str, ...]  # what it cannot do that a good camera can, a line each
+    refused: str = ""  # why it cannot be used
+
+
+def focus_fact(focus: FocusRange | None) -> tuple[str, str]:
+    return "focus", "fixed" if focus is None else f"{focus.lowest} to {focus.highest} in steps of {focus.step}"
+
+
+def exposure_fact(exposure_ns: int) -> tuple[str, str]:
+    """exposure_ns: for how long frames are exposed; 0: nobody can set it."""
+    return "exposure", f"can be set, {exposure_ns * 1e-6:g} ms now" if exposure_ns else "cannot be set"
+
+
 class Camera(Protocol):
     """What every backend offers. One thread uses a camera at a time."""
 
     size: tuple[int, int]  # width, height of the full frame
+
+    @property
+    def stamp(self) -> Stamp:
+        """What stands behind the times of its frames; of recorded pictures, which have no lag, "exposure-start"."""
 
     def focus_range(self) -> FocusRange | None:
         """The range of lens positions; None where the focus cannot be set, and sweeps are refused."""
@@ -67,6 +99,11 @@ class Camera(Protocol):
         """
 
     def close(self) -> None: ...
+
+
+def no_control(missing: Sequence[str]) -> str:
+    """What is said of a camera that cannot hold these things."""
+    return f"it has no control of {', '.join(missing)}; what changes by itself in a sweep spoils its peak"
 
 
 def nearest(lens_position: int, focus: FocusRange) -> int:

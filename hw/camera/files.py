@@ -34,7 +34,18 @@ from agent.core.picture_head import (
     several,
     stated_size,
 )
-from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Image, Roi, deliverable, nearest
+from hw.camera.camera import (
+    PATIENCE_S,
+    CameraError,
+    CameraGone,
+    FocusRange,
+    Frame,
+    Image,
+    Roi,
+    Stamp,
+    deliverable,
+    nearest,
+)
 
 # --- picture files ---
 
@@ -232,6 +243,7 @@ class StackCamera:
 
     def __init__(self, photographs: list[Photograph], first: Image) -> None:
         self.size = (first.shape[1], first.shape[0])
+        self.stamp: Stamp = "exposure-start"
         self._photographs = photographs
         self._lens_position = 0
         self._image: Image | None = first
@@ -354,6 +366,7 @@ class VideoCamera:
 
     def __init__(self, capture: cv2.VideoCapture, path: Path) -> None:
         self.size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
+        self.stamp: Stamp = "exposure-start"
         self.count = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)  # that the file announces; 0: it does not
         self.rate_hz = capture.get(cv2.CAP_PROP_FPS) or 30.0
         self._capture = capture

@@ -22,7 +22,7 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from agent.clock.clock import Clock, SystemClock
-from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Roi, deliverable, nearest
+from hw.camera.camera import PATIENCE_S, CameraError, CameraGone, FocusRange, Frame, Roi, Stamp, deliverable, nearest
 
 # --- messages ---
 
@@ -122,7 +122,6 @@ def _checked(header: bytes) -> bytes:
 # --- server ---
 
 STALL_S = 2.0  # a client that stops in the middle of a message for longer is dropped
-POLL_S = 0.2  # the thread notices this late that it has to end
 
 
 class FrameSource(Protocol):
@@ -159,10 +158,10 @@ class FrameServer:
     def close(self) -> None:
         """Hang up and end the thread: at once, or when the frame that the source is exposing is done."""
         self._closing.set()
-        client = self._client
-        if client is not None:
-            with contextlib.suppress(OSError):  # it may hang up by itself meanwhile
-                client.shutdown(socket.SHUT_RDWR)
+        for waited_for in (self._client, self._listener):
+            if waited_for is not None:
+                with contextlib.suppress(OSError):  # it may hang up by itself meanwhile
+                    waited_for.shutdown(socket.SHUT_RDWR)
         if self._thread is not None:
             self._thread.join()
             self._thread = None
@@ -171,7 +170,9 @@ class FrameServer:
         try:
             while not self._closing.is_set():
                 watched = [listener] if self._client is None else [self._client, listener]
-                for ready in select.select(watched, [], [], POLL_S)[0]:
+                for ready in select.select(watched, [], [])[0]:
+                    if self._closing.is_set():
+                        return
                     if ready is listener:
                         self._admit(listener)
                     elif not self._answer(ready):
@@ -183,7 +184,10 @@ class FrameServer:
 
     def _admit(self, listener: socket.socket) -> None:
         """A client is served before the listener is looked at, so one that died is gone by now."""
-        connection, _ = listener.accept()
+        try:
+            connection, _ = listener.accept()
+        except OSError:  # it was shut down meanwhile
+            return
         if self._client is None:
             self._client = connection
             return
@@ -285,6 +289,7 @@ class TwinCamera:
 
     def __init__(self, connection: socket.socket, path: Path, clock: Clock) -> None:
         self.size = (0, 0)
+        self.stamp: Stamp = "exposure-start"
         self._focus_range = FocusRange(0, 0, 1)
         self._connection = connection
         self._path = path

@@ -22,6 +22,7 @@ WAITS = {
     "agent/ground/page/replayed.py": MACHINE,
     "agent/process/launch.py": (ENDS, MACHINE),  # its own kind of event, waited for by whatever clock
     "hw/camera/frame_socket.py": (MACHINE, RUN),  # the server; the camera, which waits for the dive
+    "hw/camera/libcamera.py": MACHINE,
     "hw/camera/v4l2_node.py": MACHINE,
     "hw/camera/v4l2.py": MACHINE,  # a real camera's clock is the machine's
     "hw/stm32/driver.py": RUN,

@@ -17,8 +17,9 @@ from agent.ground import schemas
 from agent.robot.step import Agent
 from hw.camera import frame_socket
 from hw.camera.frame_socket import Reply, Request, Torn
-from hw.camera.v4l2 import MJPG, YUYV, Format
+from hw.camera.v4l2 import Format
 from hw.camera.v4l2 import decode as picture
+from hw.camera.v4l2_node import MJPG, NV12, YUYV
 from hw.firmware import wire
 from replay.files.channels import Entry
 from replay.viewers.viewer_channels import ViewerChannels
@@ -51,6 +52,7 @@ def decoders() -> tuple[Decoder, ...]:
         Decoder("frames", _frames, _tether),
         Decoder("jpeg", partial(_picture, MJPG), _jpeg),
         Decoder("yuyv", partial(_picture, YUYV), lambda rng: rng.randbytes(2 * WIDTH * HEIGHT)),
+        Decoder("nv12", partial(_picture, NV12), lambda rng: rng.randbytes(3 * WIDTH * HEIGHT)),
         Decoder("key", _key, _address),
         Decoder("signature", _signature, lambda rng: rng.randbytes(200)),
         *(

@@ -6,8 +6,10 @@ import pty
 import re
 import signal
 import socket
+import sys
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -25,6 +27,8 @@ from agent.process import launch
 from agent.process.command import shipped_fleet, with_pictures
 from agent.process.launch import free_ports
 from agent.robot.fleet_reader import load_fleet
+from hw.camera.camera import CameraError
+from tests.hw.camera.fake_picamera2 import FakePi
 from tests.known_lens import TWIN, TWIN_CAMERA
 
 
@@ -118,6 +122,15 @@ def test_marks_of_init_are_told_of_and_a_fleet_of_elsewhere_is_not_called_ready(
     checked = check(path, None, tmp_path)
     assert checked.verdict == "nothing is wrong with the file; 2 warnings" and checked.well
     assert any("MEASURE and SURVEY" in line for line in lines(checked, "warning"))
+
+
+def test_a_csi_camera_is_asked_who_it_is(real: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    fleet = load_fleet(changed(real, camera='"libcamera:0"'))
+    monkeypatch.setitem(sys.modules, "picamera2", SimpleNamespace(Picamera2=FakePi()))
+    assert devices.camera(fleet, "r1") == "libcamera:0 is 'imx708'"
+    monkeypatch.setitem(sys.modules, "picamera2", None)
+    with pytest.raises(CameraError, match="needs picamera2"):
+        devices.camera(fleet, "r1")
 
 
 def test_a_port_in_use_and_an_unknown_host(real: Path, tmp_path: Path) -> None:

@@ -1,16 +1,20 @@
-"""What stands in for the devices: a frame source behind the camera socket, files, and a computer of fake_v4l2.
+"""What stands in for the devices: a frame source behind the camera socket, files, a computer of fake_v4l2, and one of
+fake_picamera2.
 
 All of them show the same scene, 96x64 pixels, whose picture tells the lens position: `scene(lens_position)`.
 """
 
 import contextlib
+import sys
 import threading
 import time
+from types import SimpleNamespace
 
 import cv2
 import pytest
 
 from hw.camera.camera import CameraError, FocusRange, Frame, Roi
+from tests.hw.camera.fake_picamera2 import FakePi
 from tests.hw.camera.fake_v4l2 import FakeComputer, scene
 
 SIZE = (96, 64)
@@ -88,6 +92,13 @@ def closing():
 @pytest.fixture
 def computer():
     return FakeComputer()
+
+
+@pytest.fixture
+def pi(monkeypatch):
+    made = FakePi()
+    monkeypatch.setitem(sys.modules, "picamera2", SimpleNamespace(Picamera2=made))
+    return made
 
 
 @pytest.fixture

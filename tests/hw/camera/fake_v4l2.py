@@ -4,6 +4,7 @@ The sensor runs freely. A frame shows where the lens was when its exposure began
 queued first, or nowhere. What is not true of every driver can be changed by the tests.
 """
 
+import ctypes
 import errno
 import struct
 
@@ -11,12 +12,13 @@ import cv2
 import numpy as np
 
 from hw.camera import v4l2_node as v4l2
-from hw.camera.v4l2 import MJPG, YUYV, open_v4l2
-from hw.camera.v4l2_node import System
+from hw.camera.v4l2 import open_v4l2
+from hw.camera.v4l2_node import MJPG, NV12, UYVY, YUYV, System
 
 FRAME_NS = 33_000_000
 CALL_NS = 10_000  # what a system call takes
 PAGE = 1 << 16
+LIGHT = 100  # exposure, in units of 100 us, in which the scene is as bright as drawn
 ELSEWHERE_NS = 1_700_000_000_000_000_000  # a stamp of the wall clock
 
 # flags of a buffer, by who stamps it and when
@@ -36,7 +38,16 @@ class Clock:
         return self.now_ns
 
 
+def fourcc(name):
+    return int.from_bytes(name.encode(), "little")
+
+
+DESCRIPTIONS = {fourcc("RG10"): b"10-bit Bayer RGRG/GBGB", fourcc("H264"): b"H.264"}
+COMPRESSED = (MJPG, fourcc("H264"))
+
+
 class FakeCamera:
+    driver = "fake"
     card, bus = "Deep Webcam", "usb-0000:00:14.0-1"
 
     def __init__(self, path="/dev/video7", clock=None):
@@ -44,7 +55,15 @@ class FakeCamera:
         self.clock = clock or Clock()
         self.capabilities = v4l2.CAP_VIDEO_CAPTURE | v4l2.CAP_STREAMING
         self.formats = {YUYV: {(96, 64): 30, (1280, 960): 5}, MJPG: {(96, 64): 30, (1280, 960): 30}}  # frames/s
+        self.strict = False  # it refuses formats that it does not have, and takes no other in their place
+        self.ranges = False  # its sizes are ranges
+        self.planes = False  # its queue is multi-planar
         self.padding = 0  # bytes at the end of a row
+        self.hold = 0  # frames that it keeps before it sends them
+        self.menus = {}  # control: entries
+        self.failing = set()  # controls whose every call ends in EIO
+        self.tells_exposure = True  # what its automatic has found can be read
+        self.shows_exposure = False  # in how bright its pictures are
         self.late_ns = 0  # how far its clock lags behind ours
         self.stamps = "start"
         self.again = 0  # times that DQBUF finds nothing although something was announced
@@ -59,6 +78,7 @@ class FakeCamera:
             v4l2.FOCUS_AUTO: [0, 1, 1, 1],
             v4l2.FOCUS_ABSOLUTE: [0, 20, 5, 3],
             v4l2.EXPOSURE_AUTO: [0, 3, 1, 3],
+            v4l2.POWER_LINE_FREQUENCY: [0, 2, 1, 0],
             v4l2.EXPOSURE_ABSOLUTE: [1, 2000, 1, 40],
             v4l2.EXPOSURE_AUTO_PRIORITY: [0, 1, 1, 1],
             v4l2.AUTO_WHITE_BALANCE: [0, 1, 1, 1],
@@ -70,6 +90,7 @@ class FakeCamera:
         self.fourcc, self.size, self.hz = YUYV, (96, 64), 30
         self.streaming = self.opened = False
         self.queued, self.filled, self.memory = [], [], []
+        self.kept = []  # when the frames began that it has not sent yet
         self.exposing_ns = self.clock.now_ns  # when the frame that is under way began
 
     def value(self, control):
@@ -84,6 +105,10 @@ class FakeCamera:
             raise OSError(errno.ENODEV, "No such device")
         calls = {
             v4l2.QUERYCAP: self.tell_capabilities,
+            v4l2.ENUM_FMT: self.offer_format,
+            v4l2.ENUM_FRAMESIZES: self.offer_size,
+            v4l2.ENUM_FRAMEINTERVALS: self.offer_rate,
+            v4l2.QUERYMENU: self.tell_entry,
             v4l2.G_FMT: self.tell_format,
             v4l2.S_FMT: self.set_format,
             v4l2.S_PARM: self.set_rate,
@@ -126,18 +151,62 @@ class FakeCamera:
 
     def tell_capabilities(self, argument):
         node = self.capabilities
+        if self.planes:
+            node = node & ~v4l2.CAP_VIDEO_CAPTURE | v4l2.CAP_VIDEO_CAPTURE_MPLANE
         whole = node | v4l2.CAP_VIDEO_CAPTURE | v4l2.CAP_DEVICE_CAPS
-        struct.pack_into("16s32s32s3I", argument, 0, b"fake", self.card.encode(), self.bus.encode(), 1, whole, node)
+        names = self.driver.encode(), self.card.encode(), self.bus.encode()
+        struct.pack_into("16s32s32s3I", argument, 0, *names, 1, whole, node)
+
+    def check_queue(self, argument, at):
+        if struct.unpack_from("I", argument, at)[0] != (9 if self.planes else 1):
+            raise OSError(errno.EINVAL, "Invalid argument")
+
+    def offer_format(self, argument):
+        self.check_queue(argument, 4)
+        kind = self.entry(list(self.formats), argument, 0)
+        text = DESCRIPTIONS.get(kind, b"some format")
+        struct.pack_into("I32sI", argument, 8, int(kind in COMPRESSED), text, kind)
+
+    def offer_size(self, argument):
+        sizes = self.formats.get(struct.unpack_from("I", argument, 4)[0], {})
+        width, height = self.entry(list(sizes), argument, 0)
+        if self.ranges:
+            struct.pack_into("7I", argument, 8, 3, width, 4096, 2, height, 4096, 2)
+        else:
+            struct.pack_into("3I", argument, 8, v4l2.DISCRETE, width, height)
+
+    def offer_rate(self, argument):
+        kind, *size = struct.unpack_from("3I", argument, 4)
+        hz = self.entry([self.formats[kind][tuple(size)]], argument, 0)
+        struct.pack_into("3I", argument, 16, v4l2.DISCRETE, 1, hz)
+
+    def tell_entry(self, argument):
+        menu = self.menus.get(self.which(argument), {})
+        index = struct.unpack_from("I", argument, 4)[0]
+        if index not in menu:
+            raise OSError(errno.EINVAL, "Invalid argument")
+        struct.pack_into("32s", argument, 8, menu[index].encode())
+
+    def entry(self, entries, argument, at):
+        index = struct.unpack_from("I", argument, at)[0]
+        if index >= len(entries):
+            raise OSError(errno.EINVAL, "Invalid argument")
+        return entries[index]
 
     def tell_format(self, argument):
-        stride = 2 * self.size[0] + self.padding
-        struct.pack_into("6I", argument, 8, *self.size, self.fourcc, 1, stride, stride * self.size[1])
+        self.check_queue(argument, 0)
+        stride = (1 if self.fourcc == NV12 else 2) * self.size[0] + self.padding
+        size = stride * self.size[1]
+        after = (8, size, stride) if self.planes else (stride, size, 8)
+        struct.pack_into("7I", argument, 8, *self.size, self.fourcc, 1, *after)
 
     def set_format(self, argument):
         if self.in_use:
             raise OSError(errno.EBUSY, "Device or resource busy")
-        width, height, fourcc = struct.unpack_from("3I", argument, 8)
-        self.fourcc = fourcc if fourcc in self.formats else next(iter(self.formats))
+        width, height, kind = struct.unpack_from("3I", argument, 8)
+        if self.strict and kind not in self.formats:
+            raise OSError(errno.EINVAL, "Invalid argument")
+        self.fourcc = kind if kind in self.formats else next(iter(self.formats))
         sizes = self.formats[self.fourcc]
         self.size = min(sizes, key=lambda size: abs(size[0] - width) + abs(size[1] - height))
         self.hz = sizes[self.size]
@@ -149,14 +218,26 @@ class FakeCamera:
     def give_buffers(self, argument):
         if self.in_use:
             raise OSError(errno.EBUSY, "Device or resource busy")
+        self.check_queue(argument, 4)
         count = struct.unpack_from("I", argument)[0]
         self.memory = [bytearray(PAGE) for _ in range(count)]
 
     def tell_buffer(self, argument):
-        struct.pack_into("Q", argument, 64, struct.unpack_from("I", argument)[0] * PAGE)
-        struct.pack_into("I", argument, 72, PAGE)
+        self.check_queue(argument, 4)
+        offset = struct.unpack_from("I", argument)[0] * PAGE
+        if self.planes:
+            self.write_plane(argument, struct.pack("IIQ", 0, PAGE, offset))
+        else:
+            struct.pack_into("QI", argument, 64, offset, PAGE)
+
+    def write_plane(self, argument, data):
+        """Through the pointer that a multi-planar buffer is told by."""
+        address, count = struct.unpack_from("QI", argument, 64)
+        assert count == 1
+        ctypes.memmove(address, data, len(data))
 
     def queue(self, argument):
+        self.check_queue(argument, 4)
         self.queued.append(struct.unpack_from("I", argument)[0])
 
     def dequeue(self, argument):
@@ -164,8 +245,10 @@ class FakeCamera:
             self.again = max(0, self.again - 1)
             raise OSError(errno.EAGAIN, "Resource temporarily unavailable")
         index, count, flags, stamp_ns = self.filled.pop(0)
-        struct.pack_into("5I", argument, 0, index, v4l2.BUF_TYPE_VIDEO_CAPTURE, count, flags, 1)
+        struct.pack_into("5I", argument, 0, index, 9 if self.planes else 1, 0 if self.planes else count, flags, 1)
         struct.pack_into("2q", argument, 24, stamp_ns // 10**9, stamp_ns % 10**9 // 1000)
+        if self.planes:
+            self.write_plane(argument, struct.pack("IIQ", count, PAGE, index * PAGE))
 
     def stream_on(self, argument):
         self.streaming, self.exposing_ns = True, self.clock.now_ns
@@ -177,6 +260,8 @@ class FakeCamera:
         control = struct.unpack_from("I", argument)[0]
         if control not in self.controls:
             raise OSError(errno.EINVAL, "Invalid argument")
+        if control in self.failing:
+            raise OSError(errno.EIO, "Input/output error")
         return control
 
     def tell_control(self, argument):
@@ -202,31 +287,54 @@ class FakeCamera:
     def expose(self):
         """All frames that are done by now."""
         while self.exposing_ns + FRAME_NS <= self.clock.now_ns:
-            began_ns, self.exposing_ns = self.exposing_ns, self.exposing_ns + FRAME_NS
-            automatic = self.controls.get(v4l2.EXPOSURE_AUTO)
-            if automatic and automatic[3] != v4l2.EXPOSURE_MANUAL:
-                self.controls[v4l2.EXPOSURE_ABSOLUTE][3] = 100
-            if self.streaming and self.queued and not self.silent and not self.unplugged:
-                self.fill(self.queued.pop(0), began_ns)
+            self.kept.append((self.exposing_ns, self.brightness()))
+            self.exposing_ns += FRAME_NS
+            if self.automatic and self.tells_exposure:
+                self.controls[v4l2.EXPOSURE_ABSOLUTE][3] = LIGHT
+            if len(self.kept) > self.hold:
+                frame = self.kept.pop(0)
+                if self.streaming and self.queued and not self.silent and not self.unplugged:
+                    self.fill(self.queued.pop(0), *frame)
 
-    def fill(self, index, began_ns):
+    @property
+    def automatic(self):
+        known = self.controls.get(v4l2.EXPOSURE_AUTO)
+        return known is not None and known[3] not in (v4l2.EXPOSURE_MANUAL, v4l2.EXPOSURE_SHUTTER_PRIORITY)
+
+    def brightness(self):
+        """Of the frame that is under way, in times of what is drawn."""
+        if not self.shows_exposure or self.automatic:
+            return 1.0
+        return self.controls[v4l2.EXPOSURE_ABSOLUTE][3] / LIGHT
+
+    def fill(self, index, began_ns, times):
         lens_position = next(p for t_ns, p in reversed(self.moves) if t_ns <= began_ns)
-        data, flags = self.encoded(scene(lens_position)), STAMPS[self.stamps]
-        stamp_ns = {"start": began_ns, "end": began_ns + FRAME_NS}.get(
-            self.stamps, ELSEWHERE_NS + began_ns
-        ) - self.late_ns
+        image = (np.clip(scene(lens_position) * times, 0, 255)).astype(np.uint8)
+        data, flags = self.encoded(image), STAMPS[self.stamps]
+        if self.driver == "uvcvideo":  # the first packet, whatever the flags say
+            stamp_ns = began_ns + self.controls[v4l2.EXPOSURE_ABSOLUTE][3] * 100_000 + self.hold * FRAME_NS
+        else:
+            known = {"start": began_ns, "end": began_ns + FRAME_NS}
+            stamp_ns = known.get(self.stamps, ELSEWHERE_NS + began_ns)
         damage = self.damage.pop(0) if self.damage else 0
         if callable(damage):
             data = damage(data)
         else:
             flags |= damage
         self.memory[index][: len(data)] = data
-        self.filled.append((index, len(data), flags, stamp_ns))
+        self.filled.append((index, len(data), flags, stamp_ns - self.late_ns))
 
     def encoded(self, image):
         if self.fourcc == MJPG:
             return cv2.imencode(".jpg", image)[1].tobytes()
-        rows = cv2.cvtColor(image, cv2.COLOR_BGR2YUV_YUYV).reshape(image.shape[0], -1)
+        if self.fourcc == NV12:
+            planar = cv2.cvtColor(image, cv2.COLOR_BGR2YUV_I420)
+            height, width = image.shape[:2]
+            u, v = planar[height:].reshape(2, -1)
+            rows = np.vstack([planar[:height], np.stack([u, v], axis=1).reshape(-1, width)])
+        else:
+            pairs = cv2.cvtColor(image, cv2.COLOR_BGR2YUV_YUYV)
+            rows = (pairs[..., ::-1] if self.fourcc == UYVY else pairs).reshape(image.shape[0], -1)
         return np.pad(rows, ((0, 0), (0, self.padding))).tobytes()
 
 
@@ -237,7 +345,8 @@ class FakeComputer:
         self.clock = Clock()
         self.camera = FakeCamera(clock=self.clock)
         self.there = {self.camera.path: self.camera}
-        self.system = System(lambda: list(self.there), self.attach)
+        self.hardware_stamps = False
+        self.system = System(lambda: list(self.there), self.attach, lambda: self.hardware_stamps)
 
     def attach(self, path):
         if path not in self.there:
@@ -247,8 +356,8 @@ class FakeComputer:
         self.there[path].opened = True
         return self.there[path]
 
-    def open(self, place=FakeCamera.card, size=(96, 64)):
-        return open_v4l2(place, size, self.system, self.clock)
+    def open(self, place=FakeCamera.card, size=(96, 64), mains_hz=50):
+        return open_v4l2(place, size, mains_hz, self.system, self.clock)
 
     def pull(self):
         self.camera.unplugged = True

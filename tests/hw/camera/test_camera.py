@@ -1,5 +1,7 @@
 """One contract, every backend: what an agent relies on, whatever is behind the camera."""
 
+import contextlib
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -9,11 +11,17 @@ import cv2
 import numpy as np
 import pytest
 
+from agent.__main__ import main
+from hw.camera import libcamera, open_camera, v4l2, v4l2_node
 from hw.camera.camera import Camera, CameraError, CameraGone, FocusRange, Image, Roi, deliverable, nearest
 from hw.camera.files import open_stack, open_video
 from hw.camera.frame_socket import FrameServer
-from hw.camera.open import open_camera
-from tests.hw.camera.fake_v4l2 import FakeComputer, scene, through_yuyv
+from hw.camera.libcamera import open_libcamera
+from hw.twin.camera_device import DiveCamera, FrameClock
+from hw.twin.dive import RobotPose
+from hw.twin.optics.lens import draw_lens
+from hw.twin.truth import Stage
+from tests.hw.camera.fake_v4l2 import FakeCamera, FakeComputer, fourcc, scene, through_yuyv
 
 SIZE = (96, 64)
 NOWHERE = Path("/nonexistent")
@@ -27,9 +35,10 @@ class Rig(NamedTuple):
     plug: Callable[[], None]
     picture: Callable[[int], Image]  # what it shows at a lens position
     clock_ns: Callable[[], int] | None = None  # of its stamps, where it tells the time
+    settles: bool = False  # it shows where the lens was when a frame was exposed
 
 
-def twin_rig(tmp_path, source, closing):
+def socket_rig(tmp_path, source, closing):
     servers = []
 
     def plug():
@@ -39,6 +48,55 @@ def twin_rig(tmp_path, source, closing):
     plug()
     return Rig(
         lambda: open_camera("twin:r1", tmp_path, SIZE), lambda: servers[-1].close(), plug, scene, time.monotonic_ns
+    )
+
+
+class TwinsLens:
+    """Painter, motor of the lens and history of a camera of the twin, in a dive of its own time."""
+
+    def __init__(self):
+        self.now_ns, self.moves = 10**12, [(0, 0)]
+
+    def clock_ns(self):
+        return self.now_ns
+
+    def command(self, lens_position, t_ns):
+        self.moves.append((t_ns, lens_position))
+        return lens_position
+
+    def image_distance_m(self, t_ns, elevation_rad):
+        return next(lens_position for since_ns, lens_position in reversed(self.moves) if since_ns <= t_ns)
+
+    def expose(self, moment, lens_position, roi, *rest):
+        x, y, width, height = roi or (0, 0, *SIZE)
+        return scene(lens_position)[y : y + height, x : x + width]
+
+    def at(self, t_ns):
+        return [RobotPose(np.zeros(3), np.eye(3), 0.0, 0.0)]
+
+    def wait(self, t_ns):
+        """The water is as it was."""
+
+    @contextlib.contextmanager
+    def deliver(self, delivered_ns, latest_ns):
+        yield
+        self.now_ns = delivered_ns
+
+
+def dive_rig(tmp_path, closing):
+    """The camera of a dive behind its socket."""
+    water, servers = TwinsLens(), []
+    lens = draw_lens("imx519_640", np.random.default_rng(0))
+    lens = lens._replace(width=SIZE[0], height=SIZE[1], lowest=0, highest=20)
+    seen = (water, lens, water, water, (0.1, 0.0, 0.0), Stage((), ()), FrameClock(0), water.clock_ns, water.deliver)
+
+    def plug():
+        servers.append(closing(FrameServer(tmp_path / "r1.camera", DiveCamera(0, *seen))))
+        servers[-1].start()
+
+    plug()
+    return Rig(
+        lambda: open_camera("twin:r1", tmp_path, SIZE), lambda: servers[-1].close(), plug, scene, water.clock_ns, True
     )
 
 
@@ -60,15 +118,31 @@ def v4l2_rig():
         computer.plug,
         lambda lens_position: through_yuyv(scene(lens_position)),
         computer.clock,
+        True,
     )
 
 
-@pytest.fixture(params=["twin", "stack", "video", "v4l2"])
+def libcamera_rig(pi):
+    return Rig(
+        lambda: open_libcamera("0", SIZE, clock_ns=pi.clock),
+        lambda: setattr(pi, "gone", True),
+        lambda: setattr(pi, "gone", False),
+        scene,
+        pi.clock,
+        True,
+    )
+
+
+@pytest.fixture(params=["socket", "twin", "stack", "video", "v4l2", "libcamera"])
 def rig(request, closing, tmp_path):
+    if request.param == "socket":
+        return socket_rig(tmp_path, request.getfixturevalue("source"), closing)
     if request.param == "twin":
-        return twin_rig(tmp_path, request.getfixturevalue("source"), closing)
+        return dive_rig(tmp_path, closing)
     if request.param == "v4l2":
         return v4l2_rig()
+    if request.param == "libcamera":
+        return libcamera_rig(request.getfixturevalue("pi"))
     return file_rig(request.param, request.getfixturevalue(request.param))
 
 
@@ -88,6 +162,20 @@ class TestEveryCamera:
         frames = [camera.read() for _ in range(3)]
         assert frames[0].seq < frames[1].seq < frames[2].seq
         assert frames[0].t_ns < frames[1].t_ns < frames[2].t_ns
+
+    def test_it_says_what_its_stamps_mean(self, camera):
+        assert camera.stamp in ("exposure-start", "arrival")
+
+    def test_a_frame_is_exposed_after_the_lens_has_settled(self, rig, camera):
+        focus = camera.focus_range()
+        if focus is None or not rig.settles:
+            pytest.skip("nothing moves")
+        for lens_position in (focus.highest, focus.lowest):
+            camera.set_focus(lens_position)
+            set_ns = rig.clock_ns()
+            frame = camera.read(settle_s=0.1)
+            assert frame.t_ns >= set_ns + 100_000_000
+            assert np.array_equal(frame.image, rig.picture(lens_position))
 
     def test_a_region_is_that_part_of_the_frame(self, camera):
         whole = camera.read().image
@@ -187,7 +275,7 @@ def read_on(camera):
 def test_an_address_of_no_kind_names_the_kinds(url):
     with pytest.raises(CameraError) as caught:
         open_camera(url, NOWHERE, SIZE)
-    assert all(f"{scheme}:" in str(caught.value) for scheme in ("twin", "stack", "video", "v4l2"))
+    assert all(f"{scheme}:" in str(caught.value) for scheme in ("twin", "stack", "video", "v4l2", "libcamera"))
     assert "\n" not in str(caught.value)
 
 
@@ -355,3 +443,68 @@ def test_what_is_no_video(tmp_path):
     (tmp_path / "text.mp4").write_text("not a video")
     with pytest.raises(CameraError, match="not a video"):
         open_video(tmp_path / "text.mp4")
+
+
+# --- what is plugged in ---
+
+LISTED = """\
+Deep Webcam
+  at        /dev/video7, fake, usb-0000:00:14.0-1
+  format    YUYV 96x64 30/s, 1280x960 5/s
+  format    MJPG 96x64 30/s, 1280x960 30/s
+  pictures  96x64 YUYV, 30/s
+  focus     0 to 20 in steps of 5
+  exposure  can be set, 10 ms now
+  stamps    exposure-start
+  warning   it has no control of gain; what changes by itself in a sweep spoils its peak
+  write     camera = "v4l2:Deep Webcam"
+Deep Webcam
+  refused   /dev/video8: gives film alone (H264), no whole pictures; use its node of YUYV or MJPG, or another camera
+imx708
+  pictures  640x480, 30/s
+  focus     0 to 30 in steps of 3
+  exposure  can be set, 8 ms now
+  stamps    exposure-start
+  write     camera = "libcamera:0"
+"""
+
+
+def list_them(monkeypatch, capsys, *found):
+    monkeypatch.setattr("hw.camera.plugged_in", lambda: [one for some in found for one in some])
+    monkeypatch.setattr("sys.argv", ["aucamp", "calibrate", "cameras"])
+    with pytest.raises(SystemExit) as ended:
+        main()
+    return ended.value.code or 0, capsys.readouterr()
+
+
+def test_what_is_plugged_in_is_listed_with_the_address_to_write(computer, device, pi, monkeypatch, capsys):
+    film, about, locked = (FakeCamera(f"/dev/video{k}", computer.clock) for k in (8, 9, 10))
+    film.formats = {fourcc("H264"): {(96, 64): 30}}
+    about.capabilities = v4l2_node.CAP_STREAMING
+    computer.there |= {camera.path: camera for camera in (film, about)}
+    found = v4l2.plugged_in(computer.system, computer.clock)
+    code, said = list_them(monkeypatch, capsys, found, libcamera.plugged_in(pi.clock))
+    assert (code, said.out) == (0, LISTED)
+    assert not device.opened and device.value(v4l2_node.EXPOSURE_AUTO) == 3
+    locked.forbidden = True
+    computer.there = {locked.path: locked}
+    code, said = list_them(monkeypatch, capsys, v4l2.plugged_in(computer.system, computer.clock))
+    assert code == 1 and "refused   /dev/video10: you may not open it; join its group" in said.out
+
+
+def test_two_of_one_name_are_listed_by_their_ports(computer):
+    other = FakeCamera("/dev/video8", computer.clock)
+    other.bus, other.ranges = "usb-0000:00:14.0-2", True
+    computer.there[other.path] = other
+    found = v4l2.plugged_in(computer.system, computer.clock)
+    assert [one.address for one in found] == ["v4l2:usb-0000:00:14.0-1", "v4l2:usb-0000:00:14.0-2"]
+    assert all(("format", "YUYV 96x64 30/s, 1280x960 5/s") in one.facts for one in found)
+    for one in found:
+        computer.open(one.address.partition(":")[2]).close()
+
+
+def test_nothing_plugged_in_is_one_line_and_no(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "picamera2", None)
+    code, said = list_them(monkeypatch, capsys, libcamera.plugged_in())
+    assert (code, said.out) == (1, "")
+    assert said.err.startswith("aucamp: no camera is plugged in;") and said.err.count("\n") == 1

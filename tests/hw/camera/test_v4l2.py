@@ -5,8 +5,9 @@ import pytest
 
 from hw.camera import v4l2_node as v4l2
 from hw.camera.camera import CameraError, CameraGone
-from hw.camera.v4l2 import MJPG, YUYV, exposed
-from tests.hw.camera.fake_v4l2 import FRAME_NS, STAMPS, scene, through_yuyv
+from hw.camera.v4l2 import exposed
+from hw.camera.v4l2_node import MJPG, NV12, UYVY, YUYV
+from tests.hw.camera.fake_v4l2 import FRAME_NS, STAMPS, FakeCamera, fourcc, scene, through_yuyv
 
 HALF_EXPOSURE_NS = 5_000_000  # of 100 x 100 us, where the automatic exposure comes to rest
 
@@ -20,17 +21,24 @@ class TestFormat:
         device.size = (96, 64)
         assert computer.open(size=None).size == (96, 64)
 
-    def test_padded_rows(self, computer, device):
+    @pytest.mark.parametrize("planes", [False, True])
+    @pytest.mark.parametrize("encoding", [YUYV, UYVY, NV12, MJPG])
+    def test_colours_are_right(self, computer, device, encoding, planes):
+        """Also where rows are padded, and of a queue that is multi-planar."""
+        device.planes = device.strict = planes
         device.padding = 32
-        camera = computer.open()
-        camera.set_focus(10)
-        assert np.array_equal(camera.read().image, through_yuyv(scene(10)))
-
-    def test_colours_are_right(self, computer):
+        device.formats = {fourcc("RG10"): {(96, 64): 30}, encoding: {(96, 64): 30}}
         camera = computer.open()
         camera.set_focus(20)
-        difference = np.abs(camera.read().image.astype(int) - scene(20))
-        assert difference.mean() < 3
+        frame = camera.read()
+        assert np.abs(frame.image.astype(int) - scene(20)).mean() < 3
+        assert encoding != YUYV or np.array_equal(frame.image, through_yuyv(scene(20)))
+
+    @pytest.mark.parametrize("encoding", [UYVY, NV12])
+    def test_what_is_not_compressed_is_preferred(self, computer, device, encoding):
+        device.formats = {MJPG: {(96, 64): 30}, encoding: {(96, 64): 30}}
+        computer.open()
+        assert device.fourcc == encoding
 
     @pytest.mark.parametrize("why", ["no YUYV", "YUYV too slow"])
     def test_jpeg_where_it_must_be(self, computer, device, why, caplog):
@@ -50,11 +58,26 @@ class TestFormat:
             computer.open(size=(1280, 960))
         assert device.fourcc == MJPG and device.size == (1280, 960)
 
-    def test_a_camera_of_other_formats_is_refused(self, computer, device):
-        device.formats = {int.from_bytes(b"H264", "little"): {(96, 64): 30}}
-        with pytest.raises(CameraError, match="neither YUYV nor MJPG"):
+    @pytest.mark.parametrize(
+        ("formats", "says"),
+        [
+            (["H264"], r"gives film alone \(H264\), no whole pictures; use its node of YUYV or MJPG"),
+            (["RG10"], r"raw mosaic \(RG10\), as CSI cameras do; write libcamera:0 in the fleet file"),
+            (["RGB3", "H264"], "gives RGB3, H264, and none of YUYV, UYVY, NV12 and MJPG; use another camera"),
+        ],
+    )
+    def test_a_camera_of_other_formats_is_refused(self, computer, device, formats, says):
+        device.formats = {fourcc(name): {(96, 64): 30} for name in formats}
+        with pytest.raises(CameraError, match=f"^/dev/video7: .*{says}"):
             computer.open()
         assert not device.opened
+
+    def test_a_camera_with_a_node_of_film_beside_is_found_by_name(self, computer, device):
+        film = FakeCamera("/dev/video8", computer.clock)
+        film.formats = {fourcc("H264"): {(96, 64): 30}}
+        computer.there = {film.path: film, **computer.there}
+        computer.open()
+        assert device.streaming and not film.opened
 
     def test_a_camera_that_another_program_reads(self, computer, device):
         device.in_use = True
@@ -99,10 +122,34 @@ class TestStream:
         computer.open()
         assert "unknown clock" in caplog.text
 
+    @pytest.mark.parametrize("hold", [0, 1])
+    def test_uvcvideo_stamps_the_arrival_whatever_it_says(self, computer, device, hold):
+        """A camera that holds a frame back before it sends it: what a C920 does."""
+        device.driver, device.hold = "uvcvideo", hold
+        camera = computer.open()
+        assert camera.stamp == "arrival"
+        for lens_position in (15, 0, 20):
+            camera.set_focus(lens_position)
+            set_ns = computer.clock.now_ns
+            frame = camera.read(settle_s=0.1)
+            assert set_ns + 100_000_000 <= frame.t_ns <= set_ns + 100_000_000 + 4 * FRAME_NS
+            assert np.array_equal(frame.image, through_yuyv(scene(lens_position)))
+            began_ns = frame.t_ns - HALF_EXPOSURE_NS
+            late_ns = (began_ns - computer.camera.exposing_ns) % FRAME_NS
+            assert min(late_ns, FRAME_NS - late_ns) < 400_000  # its driver says 30 frames/s, and it takes 33 ms
+
+    def test_uvcvideo_with_hardware_stamps_is_believed(self, computer, device):
+        assert computer.open().stamp == "exposure-start"
+        device.driver, computer.hardware_stamps = "uvcvideo", True
+        assert computer.open().stamp == "exposure-start"
+        device.stamps = "unknown"
+        assert computer.open().stamp == "arrival"
+
     def test_when_a_frame_was_exposed(self):
         """Exposure 10, period 33, stamp 1000, arrival 2000 or 900."""
         assert exposed(STAMPS["start"], 1000, 900, 10, 33) == (857, 878)  # not even begun when it arrived
         assert exposed(STAMPS["start"], 1000, 2000, 10, 33) == (1000, 1005)
+        assert exposed(STAMPS["start"], 1000, 2000, 10, 33, first_packet=True) == (957, 962)
         assert exposed(STAMPS["end"], 1000, 2000, 10, 33) == (957, 978)
         assert exposed(STAMPS["unknown"], 1000, 2000, 10, 33) == (1957, 1978)
         assert exposed(STAMPS["copy"], 1000, 2000, 10, 33) == (1957, 1978)

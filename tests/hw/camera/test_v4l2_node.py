@@ -16,7 +16,7 @@ from agent.robot.fleet_reader import load_fleet
 from hw.camera import v4l2_node
 from hw.camera import v4l2_node as v4l2
 from hw.camera.camera import CameraError, CameraGone
-from hw.camera.v4l2 import MJPG, YUYV
+from hw.camera.v4l2_node import MJPG, NV12, UYVY, YUYV
 from tests.hw.camera.fake_v4l2 import FakeCamera, FakeComputer, scene, through_yuyv
 from tests.sightings import collect
 from tests.waiting import until
@@ -30,7 +30,10 @@ class TestCalls:
         assert (v4l2.REQBUFS, v4l2.QUERYBUF, v4l2.QBUF, v4l2.DQBUF) == (0xC0145608, 0xC0585609, 0xC058560F, 0xC0585611)
         assert (v4l2.STREAMON, v4l2.STREAMOFF) == (0x40045612, 0x40045613)
         assert (v4l2.QUERYCTRL, v4l2.G_CTRL, v4l2.S_CTRL) == (0xC0445624, 0xC008561B, 0xC008561C)
-        assert (YUYV, MJPG) == (0x56595559, 0x47504A4D)
+        assert (v4l2.ENUM_FMT, v4l2.QUERYMENU) == (0xC0405602, 0xC02C5625)
+        assert (v4l2.ENUM_FRAMESIZES, v4l2.ENUM_FRAMEINTERVALS) == (0xC02C564A, 0xC034564B)
+        assert (YUYV, UYVY, NV12, MJPG) == (0x56595559, 0x59565955, 0x3231564E, 0x47504A4D)
+        assert v4l2.PLANE.size == 64
 
     def test_a_node_waits_calls_and_closes(self):
         reading, writing = os.pipe()
@@ -168,18 +171,93 @@ def test_exposure_is_locked_where_the_automatic_left_it(computer, device):
     assert device.value(v4l2.SHARPNESS) == 1
 
 
-@pytest.mark.parametrize("control", [v4l2.EXPOSURE_AUTO, v4l2.AUTO_WHITE_BALANCE, v4l2.FOCUS_AUTO])
-def test_an_automatic_that_stays_on_is_refused(computer, device, control):
-    device.controls[control] = [3, 3, 1, 3]  # takes any value, keeps its own
-    with pytest.raises(CameraError, match=f"automatic|autofocus.*{control:#010x}.*cannot be switched off"):
+def test_a_lens_that_moves_by_itself_is_refused(computer, device):
+    device.controls[v4l2.FOCUS_AUTO] = [3, 3, 1, 3]  # takes any value, keeps its own
+    with pytest.raises(CameraError, match=r"/dev/video7: the autofocus .*0x009a090c.*cannot be switched off"):
         computer.open()
     assert not device.opened and not device.streaming
+
+
+@pytest.mark.parametrize("control", [v4l2.EXPOSURE_AUTO, v4l2.AUTO_WHITE_BALANCE])
+def test_an_automatic_that_stays_on_is_a_warning(computer, device, control):
+    device.controls[control] = [3, 3, 1, 3]
+    camera = computer.open()
+    no_gain, line = camera.shortcomings
+    assert "no control of gain;" in no_gain and f"{control:#010x}) cannot be switched off" in line
+    assert camera.read().image.shape == (64, 96, 3)
+
+
+@pytest.mark.parametrize("control", [v4l2.GAIN, v4l2.EXPOSURE_ABSOLUTE, v4l2.SHARPNESS, v4l2.FOCUS_AUTO])
+def test_one_control_that_fails_is_a_warning_with_its_name(computer, device, control):
+    device.controls.setdefault(control, [0, 9, 1, 0])
+    device.failing = {control}
+    device.controls[v4l2.FOCUS_AUTO][3] = 0
+    camera = computer.open()
+    lines = [line for line in camera.shortcomings if "no control" not in line]
+    assert lines and all(f"{v4l2.NAMES[control]} (control {control:#010x}) fails: Input/output" in one for one in lines)
+    camera.set_focus(15)
+    assert np.array_equal(camera.read().image, through_yuyv(scene(15)))
+
+
+@pytest.mark.parametrize(
+    "menu", [{0: "Auto Mode", 2: "Shutter Priority Mode"}, {0: "Auto Mode", 3: "Aperture Priority"}]
+)
+def test_an_exposure_menu_without_manual(computer, device, menu):
+    device.menus[v4l2.EXPOSURE_AUTO] = menu
+    camera = computer.open()
+    held = 2 in menu
+    assert (device.value(v4l2.EXPOSURE_AUTO) == 2) is held
+    has = "the automatic exposure (control 0x009a0901) cannot be held, it has only: Auto Mode, Aperture Priority"
+    assert camera.shortcomings[1:] == (() if held else (has,))
+
+
+@pytest.mark.parametrize(("mains_hz", "entry"), [(50, 1), (60, 2)])
+def test_mains_flicker_is_the_countrys(computer, device, mains_hz, entry):
+    camera = computer.open(mains_hz=mains_hz)
+    assert device.value(v4l2.POWER_LINE_FREQUENCY) == entry and len(camera.shortcomings) == 1
+    device.controls[v4l2.POWER_LINE_FREQUENCY][1] = 0
+    assert f"cannot be set to {mains_hz} Hz" in computer.open(mains_hz=mains_hz).shortcomings[1]
+
+
+def test_an_exposure_that_its_driver_does_not_tell_is_refused_by_brightness(computer, device):
+    """Held at what the control reads, which is not what the automatic had."""
+    device.tells_exposure, device.shows_exposure = False, True
+    for exposure, how in ((20, "darker"), (300, "brighter")):
+        device.controls[v4l2.EXPOSURE_ABSOLUTE][3] = exposure
+        with pytest.raises(CameraError, match=f"/dev/video7: its pictures are much {how} .* set it by hand"):
+            computer.open()
+        assert not device.opened and device.value(v4l2.EXPOSURE_AUTO) == 3
+    device.tells_exposure = True
+    computer.open()
+
+
+def test_an_exposure_set_by_hand_is_kept_unless_it_shows_nothing(computer, device):
+    device.shows_exposure = True
+    device.controls[v4l2.EXPOSURE_AUTO][3] = v4l2.EXPOSURE_MANUAL
+    device.controls[v4l2.EXPOSURE_ABSOLUTE][3] = 30
+    camera = computer.open()
+    assert device.value(v4l2.EXPOSURE_ABSOLUTE) == 30
+    camera.close()
+    assert device.value(v4l2.EXPOSURE_AUTO) == v4l2.EXPOSURE_MANUAL
+    device.controls[v4l2.EXPOSURE_ABSOLUTE][3] = 2000
+    with pytest.raises(CameraError, match="/dev/video7: its exposure is constant, and its pictures are burnt out"):
+        computer.open()
+    device.controls[v4l2.EXPOSURE_ABSOLUTE][3] = 1
+    assert "nearly black; if it is not dark there, set it by hand" in computer.open().shortcomings[-1]
+
+
+def test_automatics_are_put_back_so_that_the_next_opening_measures_anew(computer, device):
+    camera = computer.open()
+    camera.close()
+    for control in (v4l2.EXPOSURE_AUTO, v4l2.AUTO_WHITE_BALANCE, v4l2.FOCUS_AUTO):
+        assert device.value(control) == (3 if control == v4l2.EXPOSURE_AUTO else 1)
+    assert not device.opened
 
 
 def test_a_control_that_the_driver_refuses_is_one_line(computer, device):
     camera = computer.open()
     device.controls[v4l2.FOCUS_AUTO][3] = 1  # another program switched it on again
-    with pytest.raises(CameraError, match=r"the focus \(control 0x009a090a\): Permission denied"):
+    with pytest.raises(CameraError, match=r"the focus \(control 0x009a090a\) fails: Permission denied"):
         camera.set_focus(5)
 
 

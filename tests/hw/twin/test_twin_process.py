@@ -18,8 +18,8 @@ from msgspec.structs import replace
 from agent.core.config import ConfigError, Landmarks
 from agent.core.step_io import SetPoint
 from agent.robot.fleet_reader import load_fleet
+from hw.camera import open_camera
 from hw.camera.camera import Roi
-from hw.camera.open import open_camera
 from hw.twin.board import Board
 from hw.twin.calibration_bench import BenchClient
 from hw.twin.dive import Dive, run_in_lock_step
