@@ -313,6 +313,7 @@ class Twin(Struct, frozen=True, kw_only=True):
     """Only the twin reads this: which scene, which world of that scene, where its sockets are."""
 
     scene: str = "tank"
+    camera: str | None = None  # preset of hw.twin.optics.lens; none: the scene's
     seed: Annotated[int, Meta(ge=0)] = 0
     dir: str | None = None
 

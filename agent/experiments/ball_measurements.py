@@ -85,7 +85,7 @@ class PosedRobot:
 
     def focus_rows(self) -> list[FocusRow]:
         """Its first part: the sharpest lens position at each distance."""
-        return focus_rows(self._fleet, self, self._bench.place, lambda done, total: None)
+        return focus_rows(self._fleet, self, self.focus_range(), self._bench.place, lambda done, total: None)
 
     def submerge(self, water: WaterKind, solids: tuple[Solid, ...], tags: Sequence[PaintedTag] = ()) -> None:
         """Hours later, in this kind of water, before these solids and tags alone."""
@@ -238,9 +238,9 @@ def sweep_ball(
     robot: PosedRobot, vision: Vision, fleet: Fleet, target: str, known: Calibration
 ) -> Measurement | NoRange:
     """One full sweep as the vision worker does it, and what the sweep's state machine makes of it."""
-    state = Sweep(known.focus, fleet.camera.sweep_steps)
+    state = Sweep(known.swept, fleet.camera.sweep_steps)
     plan = state.start(0)
-    middle = robot.set_focus(round(0.5 * (known.focus.lowest + known.focus.highest)))
+    middle = robot.set_focus(round(0.5 * (known.swept.lowest + known.swept.highest)))
     seen = vision.sight(robot.read(settle_s=HOMING_S), target, middle, 0, -1, None)
     robot.set_focus(plan.focus[0])
     robot.read(settle_s=HOMING_S)

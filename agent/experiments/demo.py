@@ -37,11 +37,12 @@ DIVES = {
     "loss30": Dive(words="three, 30 % of messages lost", loss=0.3),
     "paper": Dive(words="three, the paper's protocol", protocol="paper"),
     "line": Dive(words="five in a line", fleet="line_of_five"),
+    "fixed": Dive(words="three of fixed focus", fleet="fixed"),
     "swim": Dive(words="robots that swim", fleet="swim"),
     "box": Dive(words="a stone in a box", fleet="box_target"),
     "fish": Dive(words="a fish", fleet="fish"),
 }
-AT_BALL = ("tank", "loss30", "paper", "line", "swim")
+AT_BALL = ("tank", "loss30", "paper", "line", "fixed", "swim")
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):

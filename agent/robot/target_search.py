@@ -16,7 +16,7 @@ from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Calibration, Eye, camera_pose, gimbal_deg, look_at, ray, servos_us, to_world
 from agent.core.ranging.pointing import Pointing, Search, off_centre_px, reachable
 from agent.core.ranging.search_pattern import SearchPattern, SearchPlan
-from agent.core.ranging.sweep import ByLight, Measurement, Rejected, Sweep
+from agent.core.ranging.sweep import ByLight, FixedFocus, Measurement, Rejected, Sweep
 from agent.core.step_io import Sighting, SweepPlan, Telemetry
 from agent.core.step_transaction import Revertible
 
@@ -29,7 +29,8 @@ class TargetMemory(Revertible):
     """What is remembered of one target, also while the camera looks at another."""
 
     def __init__(self, fleet: Fleet, calibration: Calibration) -> None:
-        self.sweep = Sweep(calibration.focus, fleet.camera.sweep_steps)
+        fit = calibration.focus
+        self.sweep = FixedFocus() if fit is None else Sweep(fit, fleet.camera.sweep_steps)
         self.search = Search()
         self.seen: Sighting | None = None  # newest frame with the target in it, gimbal at rest where it is now
 
@@ -143,7 +144,8 @@ class TargetSearch(Revertible):
 
     def act(self, situation: Situation, wanted: ByLight | bool) -> SweepPlan | None:
         """Move the gimbal if it must move, for the watched target; else, if a measurement is wanted and possible, start
-        a sweep. A sweep that runs has to end before another target may be watched. wanted: by which light, or at all.
+        a sweep (of which there is no plan where the focus is fixed). A sweep that runs has to end before another target
+        may be watched. wanted: by which light, or at all.
         """
         now_ns, target = situation.now_ns, situation.watched
         memory, another = self._memory[target], target != self._target or self._phase == "away"
@@ -169,7 +171,7 @@ class TargetSearch(Revertible):
                 if not wanted or situation.level is None or not memory.sweep.ready(now_ns):
                     return None
                 plan = memory.sweep.start(now_ns, wanted if isinstance(wanted, ByLight) else None)
-                return replace(plan, target=target) if len(self._memory) > 1 else plan
+                return replace(plan, target=target) if plan is not None and len(self._memory) > 1 else plan
             self._turn_to_pixel(memory.seen.centre_px, situation)
         elif another:  # the camera was elsewhere: nothing to wait for, and the last peak still holds
             self._look_around(memory.search, situation)

@@ -40,6 +40,7 @@ from agent.core.topics import next_due_ns
 from agent.core.trust import common
 from agent.robot.target_search import TargetScheduler, TargetSearch
 
+FIXED_FOCUS = "the camera's focus is fixed: ranges are by the size of targets, nothing is swept"
 LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods
 
 
@@ -83,6 +84,8 @@ class Targets(Revertible):
     def begin(self, now_ns: int) -> None:
         """The first step."""
         self._iterated_ns = now_ns
+        if self._calibration.focus is None:
+            self._log.note("info", FIXED_FOCUS, now_ns)
 
     # --- measurements -----------------------------------------------------------------------------------------
 
@@ -135,7 +138,8 @@ class Targets(Revertible):
         pose, own = (self._moored, None) if known is None else (known.pose, known.own)
         fix = self._located(peak, self._target_search.eye(level, pose), own)
         if isinstance(fix, Fix) and not inside(fix.position_m, self._fleet.tank.size_m):
-            return NoRange(f"peak at {peak.lens_position:.0f} is outside the tank")
+            where = "it" if peak.lens_position is None else f"peak at {peak.lens_position:.0f}"
+            return NoRange(f"{where} is outside the tank")
         return fix
 
     def _located(self, peak: Measurement, eye: Eye, own: OwnPose | None) -> Fix | NoRange:
@@ -239,7 +243,7 @@ class Targets(Revertible):
         calm = own is None or (own.calm and self.watched != own.pursues)
         wanted = self.current.prior is None and not self._settling and calm and situation.orders.sweeps
         plan = self._target_search.act(situation, wanted and self._light.consent(None, situation))
-        if plan is not None:
+        if plan is not None:  # of a camera of fixed focus there is none, nor are there lamps
             self._light.began(situation)
         if self._turned:  # the first iteration of a turn begins when the camera has arrived
             self._iterated_ns = max(situation.now_ns, self._target_search.pointing.steady_from_ns)

@@ -62,25 +62,35 @@ BACKLASH_US = 25  # the approach: two degrees, more than any gear has play
 def calibrate(fleet: Fleet, robot: str, camera: Camera, place: Place, progress: Progress) -> Calibration:
     """Run the whole procedure; progress counts settings of the board, from 0 to SETTINGS.
 
-    Raises CalibrationRefused, ConfigError for a camera without focus, CameraError.
+    Of a camera of fixed focus the sweeps are left out. Raises CalibrationRefused, CameraError.
     """
     progress(0, SETTINGS)
-    focus = fit_focus(focus_rows(fleet, camera, place, lambda done, _: progress(done, SETTINGS)))
+    limits, focus = movable(camera), None
+    if limits is not None:
+        focus = fit_focus(focus_rows(fleet, camera, limits, place, lambda done, _: progress(done, SETTINGS)))
     corners: list[Corner] = []
     for done, view in enumerate(views(fleet, camera, focus, place), start=DISTANCES):
         corners += view
         progress(done + 1, SETTINGS)
     seen = fit_camera(corners, fleet.body, camera.size)
-    tilted = tilted_peaks(fleet, camera, seen, place, lambda done, _: progress(LOOKS + done, SETTINGS))
+    if focus is not None and limits is not None:
+        tilted = tilted_peaks(fleet, camera, limits, seen, place, lambda done, _: progress(LOOKS + done, SETTINGS))
+        focus = with_sag(focus, tilted)
     centre_us = round(fleet.body.servo_centre_us)
     place(None, (centre_us, centre_us))
     return Calibration(
         robot=robot,
         made=datetime.now(UTC).strftime("%Y-%m-%d"),
         source=f"board of {COLUMNS + 1} x {ROWS + 1} squares before {fleet.robot[robot].camera}",
-        focus=with_sag(focus, tilted),
+        focus=focus,
         camera=seen,
     )
+
+
+def movable(camera: Camera) -> FocusRange | None:
+    """The range of its lens; None where the focus is fixed."""
+    limits = camera.focus_range()
+    return limits if limits is not None and limits.lowest < limits.highest else None
 
 
 def setting(done: int) -> str:
@@ -92,11 +102,8 @@ def setting(done: int) -> str:
     return f"view up or down {done - LOOKS + 1} of {SETTINGS - LOOKS}" if done < SETTINGS else "done"
 
 
-def focus_rows(fleet: Fleet, camera: Camera, place: Place, progress: Progress) -> list[FocusRow]:
+def focus_rows(fleet: Fleet, camera: Camera, limits: FocusRange, place: Place, progress: Progress) -> list[FocusRow]:
     """The sharpest lens position at each distance; a distance without a clear peak is left out."""
-    limits = camera.focus_range()
-    if limits is None:
-        raise ConfigError("the camera's focus cannot be set; a calibration needs one that can")
     rows: list[FocusRow] = []
     centre_us = round(fleet.body.servo_centre_us)
     for done, u_m in enumerate(1.0 / np.linspace(1.0 / FARTHEST_M, 1.0 / NEAREST_M, DISTANCES), start=1):
@@ -108,14 +115,13 @@ def focus_rows(fleet: Fleet, camera: Camera, place: Place, progress: Progress) -
     return rows
 
 
-def tilted_peaks(fleet: Fleet, camera: Camera, seen: CameraFit, place: Place, progress: Progress) -> list[TiltedPeak]:
+def tilted_peaks(
+    fleet: Fleet, camera: Camera, limits: FocusRange, seen: CameraFit, place: Place, progress: Progress
+) -> list[TiltedPeak]:
     """Peaks of the board looking up and down at it: what the lens's own weight does. `seen`: the gimbal's zero, and how
     far the optical axis is from the picture's middle, where a sweep reads: seen at 20 degrees, the board is nearer or
     farther there by 0.03 % for each pixel. Six of them are a third of a lens's sag."""
-    limits = camera.focus_range()
     peaks: list[TiltedPeak] = []
-    if limits is None:
-        return peaks
     body, level_us = fleet.body, servos_us(seen, fleet.body, 0.0, 0.0)
     _, y, z = ray(seen, ((seen.width_px - 1) / 2, (seen.height_px - 1) / 2))
     for done, (ahead_m, tilt_deg) in enumerate(itertools.product(SAG_AT_M, SAG_TILTS_DEG), start=1):
@@ -171,8 +177,9 @@ def edges(grey: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return cv2.dilate(steep, np.ones((2 * EDGE_RIM_PX + 1,) * 2, np.uint8)) > 0
 
 
-def views(fleet: Fleet, camera: Camera, focus: FocusFit, place: Place) -> Iterator[list[Corner]]:
-    """The corners of each view of the board, sharp; an empty list where the board is not seen whole."""
+def views(fleet: Fleet, camera: Camera, focus: FocusFit | None, place: Place) -> Iterator[list[Corner]]:
+    """The corners of each view of the board, as sharp as the lens can make it (focus: None, it is fixed); an empty list
+    where the board is not seen whole."""
     body = fleet.body
     for ahead_m in BOARD_AT_M:
         for pan_deg, tilt_deg in VIEWS_DEG:
@@ -183,13 +190,21 @@ def views(fleet: Fleet, camera: Camera, focus: FocusFit, place: Place) -> Iterat
                 round(body.servo_centre_us + body.servo_us_per_deg * tilt_deg),
             )
             approach(place, board_m, us)
-            sharp, found = lens_position(focus, math.hypot(*board_m)), []
-            for blur in BLURS if pan_deg == tilt_deg == 0.0 else (0.0,):
-                reached = camera.set_focus(round(sharp + blur * focus.width))
+            found: list[Corner] = []
+            for wanted in lens_of_view(focus, math.hypot(*board_m), straight=pan_deg == tilt_deg == 0.0):
+                reached = 0 if wanted is None else camera.set_focus(wanted)
                 grey = luminance(camera.read(settle_s=HOMING_S).image)
                 pairs = zip(board_points(board_m), find_corners(grey), strict=False)
                 found += [Corner(us, point, px, float(reached), k) for k, (point, px) in enumerate(pairs)]
             yield found
+
+
+def lens_of_view(focus: FocusFit | None, away_m: float, straight: bool) -> list[int | None]:
+    """The lens positions at which a view is looked at."""
+    if focus is None:
+        return [None]
+    sharp = lens_position(focus, away_m)
+    return [round(sharp + blur * focus.width) for blur in (BLURS if straight else (0.0,))]
 
 
 def approach(place: Place, board_m: Vector, us: tuple[int, int]) -> None:
@@ -266,7 +281,7 @@ def bench_by_hand(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place]]:
         clock = SystemClock()
         module = stack.enter_context(Stm32(open_port_path(robot.serial, twin_dir(fleet)), clock))
         asked: Vector | None = None
-        done = 0
+        done = 0 if movable(camera) else DISTANCES
 
         def place(board_m: Vector | None, servos_us: tuple[int, int]) -> None:
             nonlocal asked, done
@@ -331,11 +346,15 @@ def _on_the_twin(fleet: Fleet, name: str, console: Console) -> Calibration:
 def describe(calibration: Calibration) -> str:
     """What the fit is worth, in two lines."""
     focus, camera = calibration.focus, calibration.camera
+    seen = (
+        f"camera: f {camera.f_px:.1f} px, pan zero {camera.pan_zero_deg:+.2f}° gain {camera.pan_gain:.4f}, "
+        f"tilt zero {camera.tilt_zero_deg:+.2f}° gain {camera.tilt_gain:.4f}, residual {camera.noise_px:.2f} px"
+    )
+    if focus is None:
+        return f"focus: fixed, ranges will be by the size of targets\n{seen}"
     nearer = "larger" if focus.b_m > 0.0 else "smaller"  # u = u_inf + b / (rho - rho0): 0 for infinity is custom only
     return (
         f"focus: R² {focus.r2:.4f}, rms {1e3 * focus.rmse_m:.1f} mm, held out {1e3 * focus.held_out_rmse_m:.1f} mm, "
         f"one peak ± {focus.noise:.2f} lens positions, "
-        f"{nearer} ones are nearer\n"
-        f"camera: f {camera.f_px:.1f} px, pan zero {camera.pan_zero_deg:+.2f}° gain {camera.pan_gain:.4f}, "
-        f"tilt zero {camera.tilt_zero_deg:+.2f}° gain {camera.tilt_gain:.4f}, residual {camera.noise_px:.2f} px"
+        f"{nearer} ones are nearer\n{seen}"
     )

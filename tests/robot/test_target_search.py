@@ -1,9 +1,11 @@
 """A gimbal that was turned away on purpose comes back at once, and what was learnt of the target is kept."""
 
 import pytest
+from msgspec.structs import replace
 
 from agent.core.capability import CameraAct, LightView
 from agent.core.ranging.camera_model import look_at
+from agent.core.ranging.sweep import Measurement
 from agent.core.step_io import Sighting
 from agent.robot.target_search import LOST_NS, PATIENCE, TURN, TargetScheduler, TargetSearch
 from tests.capabilities.swim.swimming_agent import CALIBRATION, POSE, fleet
@@ -102,3 +104,16 @@ def test_a_target_whose_index_others_drive_is_looked_at_all_the_same() -> None:
         waited = 0 if turns.next(t) == "buoy" else waited + 1
         longest = max(longest, waited)
     assert longest <= (PATIENCE * len(THREE) + 1) * TURN
+
+
+def test_a_camera_of_fixed_focus_measures_without_a_plan() -> None:
+    of = fleet()
+    search = TargetSearch(of, of.robot["r1"], replace(CALIBRATION, focus=None))
+    act(search, START_NS)
+    now_ns = search.pointing.steady_from_ns + STEP_NS
+    for step in range(2):  # it comes into view, and is measured
+        seen = Sighting(t_ns=now_ns, frame=step, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0)
+        search.add_sighting(seen, LightView())
+        assert isinstance(search.finish(now_ns), Measurement) == (step == 1)
+        assert act(search, now_ns) is None
+        now_ns += STEP_NS

@@ -111,7 +111,7 @@ def lens_of(camera: CameraFit, lens_position: float | None) -> tuple[Lens, int]:
 def sigma_of(calibration: Calibration) -> int:
     """What is expected of a block's depth at SIGMA_AT_M, in units of SIGMA_UNIT_MM: by the grid of its pixels, the
     lens's noise, and the calibration."""
-    fit, side = calibration.focus, block_px(calibration.camera)
+    fit, side = calibration.swept, block_px(calibration.camera)
     variance = range_variance(fit, lens_position(fit, SIGMA_AT_M), phase_sigma(fit.width, side * side))
     return min(max(round(NOISIER * 1000.0 * math.sqrt(sum(variance)) / SIGMA_UNIT_MM), 1), 10**5)
 
@@ -131,7 +131,7 @@ def frame_of(
     if (peaks.cols, peaks.block_px, peaks.rows) != (lens.cols, lens.block, rows):
         return None
     forward = eye.rotation[2][2]  # of the optical axis upwards
-    fit = at_tilt(calibration.focus, math.asin(min(max(forward, -1.0), 1.0)))
+    fit = at_tilt(calibration.swept, math.asin(min(max(forward, -1.0), 1.0)))
     count = lens.cols * rows
     slopes, ahead_m = block_slopes(lens, lens.cols * rows), lens.ahead * UNIT_M
     depths: list[float | None] = [None] * count
@@ -305,7 +305,7 @@ class Surveyor(Revertible):
             if now_ns - self._since_ns > LOOK_NS:
                 self.give_up(now_ns)
             return None
-        fit = self._calibration.focus
+        fit = self._calibration.swept
         positions = full_positions(fit, self._fleet.camera.sweep_steps)
         self._sweeps += 1
         self._begin("swept", now_ns)
@@ -413,6 +413,7 @@ class Survey(Capability):
 
     name: ClassVar[str] = "survey"
     table: ClassVar[str] = "coverage"
+    sweeps: ClassVar[bool] = True
     does: ClassVar[str] = "surveys"
     topics: ClassVar[tuple[Topic, ...]] = (CLAIM, KEYFRAME)
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 from msgspec import Meta
 from msgspec.structs import replace
@@ -23,6 +23,11 @@ from agent.core.messages import Symmetric, Vector
 
 # --- calibration file of one robot ---
 # What `aucamp calibrate` measured and the agent relies on.
+
+NO_FOCUS = (
+    "has no table [focus], as if the camera's focus were fixed, and this sweeps the lens; add it by "
+    "`aucamp calibrate focus`, or measure all of it by `aucamp calibrate run`"
+)
 
 
 class FocusFit(Struct, frozen=True, kw_only=True):
@@ -101,9 +106,16 @@ class Calibration(Struct, frozen=True, kw_only=True):
     robot: str
     made: str  # date, UTC
     source: str  # what was in front of which camera
-    focus: FocusFit
+    focus: FocusFit | None = None  # none: its focus is fixed, and ranges come from sizes
     camera: CameraFit
     body: BodyFit | None = None  # none: the default fit; only a robot that swims needs it
+
+    @property
+    def swept(self) -> FocusFit:
+        """[focus], for what sweeps the lens. Raises ConfigError where there is none."""
+        if self.focus is None:
+            raise ConfigError(f"calibration of {self.robot}: {NO_FOCUS}")
+        return self.focus
 
 
 def at_lens_position(camera: CameraFit, lens_position: float | None) -> CameraFit:
@@ -117,8 +129,11 @@ def at_lens_position(camera: CameraFit, lens_position: float | None) -> CameraFi
 def load_calibration(path: Path) -> Calibration:
     """Read a calibration file. Raises ConfigError with one line."""
     data = read_toml(path)
-    for table in ("focus", "camera"):
-        _refuse_without(table, data, path)
+    if "camera" not in data:
+        raise ConfigError(
+            f"{path}: has no table [camera]; add it by `aucamp calibrate camera`, "
+            "or measure all of it by `aucamp calibrate run`"
+        )
     return convert(data, Calibration, path)
 
 
@@ -126,8 +141,9 @@ def load_focus(path: Path) -> FocusFit:
     """The lens of a calibration file, which is all that ranges of a whole view need: [camera] may be missing. Raises
     ConfigError with one line."""
     data = read_toml(path)
-    _refuse_without("focus", data, path)
-    return load_calibration(path).focus if "camera" in data else convert(data, _Lens, path).focus
+    if "focus" not in data:
+        raise ConfigError(f"{path}: {NO_FOCUS}")
+    return load_calibration(path).swept if "camera" in data else convert(data, _Lens, path).focus
 
 
 class _Lens(Struct, frozen=True, kw_only=True):
@@ -137,14 +153,6 @@ class _Lens(Struct, frozen=True, kw_only=True):
     made: str
     source: str
     focus: FocusFit
-
-
-def _refuse_without(table: str, data: dict[str, Any], path: Path) -> None:
-    if table not in data:
-        raise ConfigError(
-            f"{path}: has no table [{table}]; add it by `aucamp calibrate {table}`, "
-            "or measure all of it by `aucamp calibrate run`"
-        )
 
 
 # --- geometry ---

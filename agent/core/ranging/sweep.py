@@ -42,11 +42,12 @@ PAUSE_NS = 2_000_000_000
 
 
 class Measurement(NamedTuple):
-    """One accepted sweep, in lens and pixel terms; stamped with the time of its sharpest frame."""
+    """One accepted sweep, in lens and pixel terms; stamped with the time of its sharpest frame. Of a camera of fixed
+    focus one frame."""
 
     sweep: int  # number of its plan
     t_ns: int
-    lens_position: float  # of the peak
+    lens_position: float | None  # of the peak; None: the focus is fixed
     sigma: float  # its standard deviation, lens positions
     width: float  # half width of the peak, lens positions
     held_width: float | None  # that the fit was told; None: it was free
@@ -122,7 +123,7 @@ class Sweep(Revertible):
         self.phase = next_phase(next_phase(self.phase, "rest"), "start")
         if self._last is not None:
             half_span = TRACK_SPAN * (WIDER if self._failures else 1.0)
-            lens_positions = track_positions(self._last.lens_position, self._last.width, half_span)
+            lens_positions = track_positions(self._last.lens_position or 0.0, self._last.width, half_span)
         elif by_light is not None and by_light.around is not None and self._failures % 2 == 0:
             lens_positions = expected_positions(by_light.around, self._fit.width, self._full_steps)
         else:
@@ -202,6 +203,57 @@ class Sweep(Revertible):
         return peak_of(number, good, None if self._last is None else self._last.width)
 
 
+class FixedFocus(Revertible):
+    """In place of a `Sweep` where the focus is fixed: the next frame, for the target's size in it has the range.
+
+    Nothing moves the lens, and there is no plan: it takes a frame of those between sweeps.
+    """
+
+    most_ns = SLACK_NS  # as of a sweep
+
+    def __init__(self) -> None:
+        self._number = 0
+        self.phase: SweepPhase = "ready"
+        self._from_ns = 0  # frames exposed later count
+        self._seen: Sighting | None = None  # the first of them
+
+    @property
+    def running(self) -> bool:
+        return self.phase == "running"
+
+    def ready(self, now_ns: int) -> bool:
+        return not self.running
+
+    def start(self, now_ns: int, by_light: ByLight | None = None) -> None:
+        self.phase = next_phase(self.phase, "start")
+        self._number, self._from_ns, self._seen = self._number + 1, now_ns, None
+
+    def frame(self, sighting: Sighting) -> None:
+        if self.running and self._seen is None and sighting.t_ns >= self._from_ns:
+            self._seen = sighting
+
+    def telemetry(self, telemetry: Telemetry) -> None:
+        """One frame needs no robot that stays still."""
+
+    def finish(self, now_ns: int) -> Measurement | Rejected | None:
+        seen = self._seen
+        if not self.running or (seen is None and now_ns < self._from_ns + SLACK_NS):
+            return None
+        self.phase = next_phase(self.phase, "end")
+        if seen is None or seen.centre_px is None:
+            return Rejected(self._number, "no frame in time" if seen is None else "target not seen in the frame")
+        return Measurement(self._number, seen.t_ns, None, 0.0, 0.0, None, outline_of(seen), seen.score)
+
+    def take_back(self) -> None:
+        """No measurement goes by another."""
+
+    def remark(self) -> str | None:
+        return None
+
+    def forget(self) -> None:
+        self.phase = next_phase(self.phase, "lose")
+
+
 def usable(
     number: int, frames: Sequence[Sighting], tilts_deg: Sequence[tuple[float, float]]
 ) -> list[Sighting] | Rejected:
@@ -219,7 +271,6 @@ def peak_of(number: int, good: Sequence[Sighting], held_width: float | None) -> 
     if not isinstance(peak, Peak):
         return Rejected(number, peak.reason, held_width=held_width)
     sharpest = min(good, key=lambda f: (abs((f.focus or 0) - peak.lens_position), f.frame))
-    assert sharpest.centre_px is not None
     return Measurement(
         sweep=number,
         t_ns=sharpest.t_ns,
@@ -227,16 +278,15 @@ def peak_of(number: int, good: Sequence[Sighting], held_width: float | None) -> 
         sigma=math.hypot(peak.sigma, phase_sigma(peak.width, sharpest.area_px or 1.0)),
         width=peak.width,
         held_width=held_width,
-        outline=Outline(
-            sharpest.centre_px,
-            sharpest.radius_px,
-            sharpest.score,
-            sharpest.focus,
-            sharpest.size_px,
-            sharpest.radius_sigma_px,
-        ),
+        outline=outline_of(sharpest),
         quality=peak.quality,
     )
+
+
+def outline_of(seen: Sighting) -> Outline:
+    """What a frame with the target in it shows of that."""
+    assert seen.centre_px is not None
+    return Outline(seen.centre_px, seen.radius_px, seen.score, seen.focus, seen.size_px, seen.radius_sigma_px)
 
 
 def how_moved(frames: Sequence[Sighting], tilts_deg: Sequence[tuple[float, float]]) -> str | None:

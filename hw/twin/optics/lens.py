@@ -57,6 +57,7 @@ class Preset(NamedTuple):
     pixel_m: float
     width: int
     height: int
+    fixed_dioptre: float | None = None  # where a lens is sharp that cannot be moved
 
 
 PRESETS = {
@@ -66,6 +67,9 @@ PRESETS = {
     "binned_640": Preset(3.6e-3, 2.4, 4 * 1.4e-6, 640, 480),
     # The same sensor binned 2x2 behind a faster lens: 1714 px, 41 degrees; twice the blur in pixels.
     "crop_1280": Preset(3.6e-3, 2.0, 2 * 1.4e-6, 1280, 960),
+    # A webcam of fixed focus, like Logitech's C270: 2.8 um pixels binned 2x2, 952 px, 37 degrees; sharp from 0.4 m of
+    # air to infinity, hence set to 0.8 m.
+    "fixed_640": Preset(4.0e-3, 2.8, 2 * 2.8e-6, 640, 480, fixed_dioptre=1.25),
 }
 
 HIGHEST = 1023  # ten-bit driver
@@ -83,7 +87,7 @@ def draw_lens(preset: str, rng: np.random.Generator) -> Lens:
     focal_m = nominal.focal_m * rng.uniform(0.99, 1.01)
     rest_dioptre = FAR + rng.uniform(-0.15, 0.15)  # modules are set on a collimator, hence relative to their own f
     travel_m = 1 / (1 / nominal.focal_m - NEAR) - 1 / (1 / nominal.focal_m - FAR)
-    return Lens(
+    lens = Lens(
         focal_m=focal_m,
         f_number=nominal.f_number,
         pixel_m=nominal.pixel_m,
@@ -105,6 +109,11 @@ def draw_lens(preset: str, rng: np.random.Generator) -> Lens:
         drift_m=rng.normal(0, 0.1e-6),
         drift_s=600.0,
     )
+    if nominal.fixed_dioptre is None:
+        return lens
+    set_to = nominal.fixed_dioptre + (rest_dioptre - FAR)  # screwed in and glued
+    at_m = 1 / (1 / focal_m - set_to)
+    return lens._replace(at_rest_m=at_m, highest=0, hysteresis=0.0, jitter_m=0.0, sag_m=0.0, drift_m=0.0)
 
 
 class Vcm:
