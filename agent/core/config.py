@@ -314,6 +314,9 @@ class Twin(Struct, frozen=True, kw_only=True):
 
     scene: str = "tank"
     camera: str | None = None  # preset of hw.twin.optics.lens; none: the scene's
+    # faults of all cameras, on the bench and in the dive
+    stamp_late_ms: Annotated[float, Meta(ge=0, le=200)] = 0.0  # by which frames are stamped after they were exposed
+    lens_slow_ms: Annotated[float, Meta(ge=0, le=500)] = 0.0  # in which the lens goes 95 % of its way
     seed: Annotated[int, Meta(ge=0)] = 0
     dir: str | None = None
 

@@ -6,6 +6,7 @@ Thin lens: an object at apparent distance s (metres of air) is sharp where the v
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -116,53 +117,71 @@ def draw_lens(preset: str, rng: np.random.Generator) -> Lens:
     return lens._replace(at_rest_m=at_m, highest=0, hysteresis=0.0, jitter_m=0.0, sag_m=0.0, drift_m=0.0)
 
 
+class Leg(NamedTuple):
+    """The lens's motion from one command to the next."""
+
+    since_ns: int
+    held: float  # lens position behind the play, where the spring comes to rest
+    offset: float  # from there, lens positions
+    speed: float  # lens positions/s
+    jitter_m: float
+
+
+LEGS = 32  # that are remembered: a frame may be of a moment before the newest commands
+
+
 class Vcm:
     """The moving lens: play, then a damped spring, then what no command controls (jitter, sag, drift).
 
-    Between commands the motion is solved in closed form, so it does not depend on when it is asked for.
+    Between commands the motion is solved in closed form, so it does not depend on when it is asked for. A slow lens has
+    gone 95 % of its way after slow_s, and does not swing.
     """
 
-    def __init__(self, lens: Lens, rng: np.random.Generator) -> None:
+    def __init__(self, lens: Lens, rng: np.random.Generator, slow_s: float = 0.0) -> None:
         self._lens = lens
         self._rng = rng
-        self._held = float(lens.lowest)  # lens position behind the play, where the spring comes to rest
-        self._offset, self._speed = 0.0, 0.0  # from there, lens positions and lens positions/s, at _since_ns
-        self._since_ns: int | None = None
+        self._decay = 3.0 / slow_s if slow_s else 0.0  # 1/s, of a slow lens
+        self._legs: deque[Leg] = deque(maxlen=LEGS)
         self._start_ns = 0
-        self._jitter_m = 0.0
 
     def command(self, lens_position: int, t_ns: int) -> int:
         """Set the coil's current; returns the lens position that the driver reports, clamped to its range."""
-        lens = self._lens
+        lens, before = self._lens, self._leg(t_ns)
         reported = min(max(int(lens_position), lens.lowest), lens.highest)
-        offset, speed = self._motion(t_ns)
-        here = self._held + offset
-        self._held = min(max(self._held, reported - lens.hysteresis), reported + lens.hysteresis)
-        self._offset, self._speed, self._since_ns = here - self._held, speed, t_ns
-        self._jitter_m = self._rng.normal(0, lens.jitter_m)
+        offset, speed = self._motion(before, t_ns)
+        held = min(max(before.held, reported - lens.hysteresis), reported + lens.hysteresis)
+        jitter_m = self._rng.normal(0, lens.jitter_m)
+        self._legs.append(Leg(t_ns, held, before.held + offset - held, speed, jitter_m))
         return reported
 
     def image_distance_m(self, t_ns: int, tilt_rad: float) -> float:
-        """Lens to sensor at `t_ns`, the camera tilted up by `tilt_rad`. Ask in order of time."""
-        lens = self._lens
-        offset, _ = self._motion(t_ns)
-        warm = 1 - math.exp(-(t_ns - self._start_ns) * 1e-9 / lens.drift_s)
+        """Lens to sensor at `t_ns`, the camera tilted up by `tilt_rad`."""
+        lens, leg = self._lens, self._leg(t_ns)
+        offset, _ = self._motion(leg, t_ns)
+        warm = 1 - math.exp(-max(t_ns - self._start_ns, 0) * 1e-9 / lens.drift_s)
         return (
-            lens.at_position_m(self._held + offset)
-            + self._jitter_m
+            lens.at_position_m(leg.held + offset)
+            + leg.jitter_m
             - lens.sag_m * math.sin(tilt_rad)  # looking up, the lens sinks towards the sensor
             + lens.drift_m * warm
         )
 
-    def _motion(self, t_ns: int) -> tuple[float, float]:
-        """Free oscillation since the last command: offset from rest and speed."""
-        if self._since_ns is None:
-            self._since_ns = self._start_ns = t_ns
-        t = max(t_ns - self._since_ns, 0) * 1e-9
+    def _leg(self, t_ns: int) -> Leg:
+        """What moves the lens at t_ns; before all that is remembered, the oldest."""
+        if not self._legs:
+            self._start_ns = t_ns
+            self._legs.append(Leg(t_ns, float(self._lens.lowest), 0.0, 0.0, 0.0))
+        return next((leg for leg in reversed(self._legs) if leg.since_ns <= t_ns), self._legs[0])
+
+    def _motion(self, leg: Leg, t_ns: int) -> tuple[float, float]:
+        """Free oscillation since the leg's command: offset from rest and speed."""
+        t = max(t_ns - leg.since_ns, 0) * 1e-9
+        if self._decay:
+            return leg.offset * math.exp(-self._decay * t), 0.0
         omega = 2 * math.pi * self._lens.frequency_hz
         decay = self._lens.damping * omega
         ring = omega * math.sqrt(1 - self._lens.damping**2)
-        a, b = self._offset, (self._speed + decay * self._offset) / ring
+        a, b = leg.offset, (leg.speed + decay * leg.offset) / ring
         cos, sin, fade = math.cos(ring * t), math.sin(ring * t), math.exp(-decay * t)
         offset = fade * (a * cos + b * sin)
         speed = fade * ((ring * b - decay * a) * cos - (ring * a + decay * b) * sin)

@@ -119,3 +119,13 @@ def test_a_fixed_lens_stays_where_it_was_set():
     assert coil.command(500, 0) == lens.highest == 0
     assert coil.image_distance_m(10**12, 0.3) == lens.at_rest_m
     assert 1.0 < 1 / lens.focal_m - 1 / lens.at_rest_m < 1.5  # dioptres
+
+
+def test_a_slow_lens_goes_95_percent_of_its_way_in_its_time_and_a_late_frame_shows_where_it_was():
+    lens = lens_of(hysteresis=0.0, jitter_m=0.0, sag_m=0.0, drift_m=0.0)
+    slow = Vcm(lens, generator(0, "r1", "vcm"), slow_s=0.3)
+    slow.command(200, 0)
+    slow.command(400, 10**10)
+    share = [(slow.image_distance_m(10**10 + t_ns, 0.0) - lens.at_position_m(200)) for t_ns in (-1, 0, 3 * 10**8)]
+    assert share[:2] == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert share[2] / (200 * lens.per_position_m) == pytest.approx(0.95, abs=0.001)
