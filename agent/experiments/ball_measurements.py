@@ -27,6 +27,7 @@ from agent.core.messages import Vector
 from agent.core.ranging.camera_model import (
     Calibration,
     Eye,
+    TimingFit,
     camera_pose,
     gimbal_deg,
     look_at,
@@ -38,7 +39,7 @@ from agent.core.step_io import SetPoint, Sighting, Telemetry
 from agent.experiments.claim import Row
 from agent.perception.clarity import around
 from agent.perception.detection.detectors import load_detectors
-from agent.perception.vision import HOMING_S, Vision
+from agent.perception.vision import HOMING_S, TimedCamera, Vision
 from agent.process.command import shipped_fleet, temporary_folder
 from agent.robot.fleet_reader import load_fleet
 from agent.tools.bench_calibration import BACKLASH_US, calibrate, focus_rows
@@ -85,7 +86,8 @@ class PosedRobot:
 
     def focus_rows(self) -> list[FocusRow]:
         """Its first part: the sharpest lens position at each distance."""
-        return focus_rows(self._fleet, self, self.focus_range(), self._bench.place, lambda done, total: None)
+        camera = TimedCamera(self, TimingFit(), lambda: 0)
+        return focus_rows(self._fleet, camera, self.focus_range(), self._bench.place, lambda done, total: None)
 
     def submerge(self, water: WaterKind, solids: tuple[Solid, ...], tags: Sequence[PaintedTag] = ()) -> None:
         """Hours later, in this kind of water, before these solids and tags alone."""

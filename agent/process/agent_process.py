@@ -376,6 +376,7 @@ class AgentProcess:
             on_frame=self._on_frame,
             enhancer=enhancer,
             landmarks=self._landmarks,
+            timing=known.timing,
         )
         self._eyes.start()
         self._stack.callback(self._eyes.close)

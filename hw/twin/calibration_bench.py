@@ -120,8 +120,8 @@ class Bench:
 
 # --- socket: JSON, one object a line ---
 #
-# {"board_m": [x, y, z] or null, "servo_us": [pan, tilt]} and {"wait_s": seconds} are answered by {"now_ns": bench's time}
-# or {"error": "..."}; Bench.place and Bench.wait say what they mean.
+# {"board_m": [x, y, z] or null, "servo_us": [pan, tilt]} and {"wait_s": seconds} are answered by {"now_ns": time of the
+# bench} or {"error": "..."}; Bench.place and Bench.wait say what they mean.
 
 MAX_LINE = 1024  # bytes of a request
 POLL_S = 0.2

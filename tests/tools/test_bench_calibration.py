@@ -20,6 +20,7 @@ from agent.tools.bench_calibration import (
     calibrate,
     describe,
     find_corners,
+    fit_timing,
     setting,
     tilted_peaks,
 )
@@ -199,3 +200,21 @@ def test_corners_run_from_the_upper_left_row_by_row():
         corners = np.array(find_corners(grey)).reshape(ROWS, COLUMNS, 2)
         assert (np.diff(corners[:, :, 0], axis=1) > 0).all() and (np.diff(corners[:, :, 1], axis=0) > 0).all()
     assert find_corners(np.full((480, 640), 90, np.uint8)) == []
+
+
+@pytest.mark.parametrize(("late_s", "lag_s"), [(0.0, 0.003), (0.066, 0.05), (0.12, 0.1), (0.12, 0.017)])
+def test_late_stamps_and_a_slow_lens_are_told_apart_by_the_frames_after_a_step(late_s, lag_s):
+    positions, noise = np.linspace(300.0, 390.0, 9), np.random.default_rng(0)
+
+    def clarity(at):
+        return 100.0 / (1.0 + ((at - 410.0) / 90.0) ** 2)
+
+    told_s = [k / 240.0 for k in range(8)]  # after a frame's stamp; the frames after it follow each other
+    since_s = np.array([frame / 30.0 - told for told in told_s for frame in (0, *range(2, 18))])
+    gone = 1.0 - np.exp(-np.maximum(since_s - late_s, 0.0) / lag_s)
+    seen = clarity(300.0 + 90.0 * gone) + noise.normal(0.0, 0.5, since_s.size)
+    fit = fit_timing(positions, clarity(positions), since_s, seen)
+    assert abs(fit.stamp_late_s - late_s) < min(3.0 * fit.stamp_late_sigma_s, 0.03)
+    assert abs(fit.lens_lag_s - lag_s) < min(3.0 * fit.lens_lag_sigma_s, 0.01)
+    with pytest.raises(CalibrationRefused, match="keep board and light still"):
+        fit_timing(positions, clarity(positions), since_s, seen[::-1])

@@ -85,6 +85,24 @@ class CameraFit(Struct, frozen=True, kw_only=True):
     covariance: Annotated[tuple[float, ...], Meta(min_length=55, max_length=55)] | None = None
 
 
+class TimingFit(Struct, frozen=True, kw_only=True):
+    """How late frames are stamped and how slowly the lens follows its commands, as its pictures tell: told to move at
+    t, it has gone 1 - exp(-s / lens_lag_s) of its way in the frame that is stamped t + stamp_late_s + s."""
+
+    stamp_late_s: Annotated[float, Meta(ge=-0.1, le=1)] = 0.0  # after the middle of the exposure
+    stamp_late_sigma_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    lens_lag_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    lens_lag_sigma_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
+
+
+RESTS = 2.0  # lags of the lens that a frame of a sweep waits for: the seventh part of a step that is left is known
+
+
+def sweep_waits_ns(timing: TimingFit, steps: int) -> int:
+    """How much longer a sweep may take for late stamps and a slow lens."""
+    return round(1e9 * steps * (max(timing.stamp_late_s, 0.0) + RESTS * timing.lens_lag_s))
+
+
 class BodyFit(Struct, frozen=True, kw_only=True):
     """How a robot moves in the plane for each newton that it asks of its thrusters, whatever these then really give."""
 
@@ -108,6 +126,7 @@ class Calibration(Struct, frozen=True, kw_only=True):
     source: str  # what was in front of which camera
     focus: FocusFit | None = None  # none: its focus is fixed, and ranges come from sizes
     camera: CameraFit
+    timing: TimingFit = TimingFit()  # nothing: not measured, and taken for none
     body: BodyFit | None = None  # none: the default fit; only a robot that swims needs it
 
     @property

@@ -39,6 +39,8 @@ FAILURES_BEFORE_FULL = 2  # tracking sweeps in a row without a peak
 FEWEST_STEPS = 8  # of a full sweep that was halved: nine tenths of a peak's half width from one to the next
 FAILURES_BEFORE_PAUSE = 3  # full sweeps in a row without a peak
 PAUSE_NS = 2_000_000_000
+TRACKED = 3  # tracking sweeps after a full one, by which timing is judged
+LATE_SIGMAS, LATE_S = 5.0, 0.02  # beyond which it is wrong; less lateness goes by while a frame waits for the lens
 
 
 class Measurement(NamedTuple):
@@ -53,6 +55,15 @@ class Measurement(NamedTuple):
     held_width: float | None  # that the fit was told; None: it was free
     outline: Outline  # in the frame nearest to the peak: blur moves an edge
     quality: float  # correlation of curve and model, 0 to 1
+    pace: float = 0.0  # of the lens, positions a second
+
+
+class Paced(NamedTuple):
+    """The peak of one sweep, and how fast the lens went: lens positions, a second."""
+
+    lens_position: float
+    sigma: float
+    pace: float
 
 
 class Rejected(NamedTuple):
@@ -203,6 +214,42 @@ class Sweep(Revertible):
         return peak_of(number, good, None if self._last is None else self._last.width)
 
 
+class LateFrames(Revertible):
+    """Whether sweeps contradict what the calibration says of the camera's timing.
+
+    Frames that are later than it says show the lens where it was, so that peaks seem to lie farther on, by the more the
+    faster it goes. Full sweeps go at twice the pace of tracking ones. For robots and targets at rest alone: what moves
+    changes its range from one sweep to the next.
+    """
+
+    def __init__(self) -> None:
+        self._full: Paced | None = None
+        self._tracking: list[Paced] = []  # since that full one
+
+    def add(self, peak: Measurement, noise: float) -> None:
+        """Take note of a sweep. noise: of one peak, by the calibration, lens positions."""
+        if peak.lens_position is None:
+            return
+        paced = Paced(peak.lens_position, max(peak.sigma, noise), peak.pace)
+        if peak.held_width is None:
+            self._full, self._tracking = paced, []
+        elif self._full is not None and len(self._tracking) < TRACKED:
+            self._tracking.append(paced)
+
+    def late_s(self) -> tuple[float, float] | None:
+        """By how much frames are later than believed, and its standard deviation; None where sweeps agree, or it is not
+        known yet."""
+        full, n = self._full, len(self._tracking)
+        if full is None or n < TRACKED:
+            return None
+        pace = full.pace - sum(each.pace for each in self._tracking) / n
+        if pace <= 0.0:
+            return None
+        late = (full.lens_position - sum(each.lens_position for each in self._tracking) / n) / pace
+        sigma = math.hypot(full.sigma, math.sqrt(sum(each.sigma**2 for each in self._tracking)) / n) / pace
+        return (late, sigma) if abs(late) > max(LATE_SIGMAS * sigma, LATE_S) else None
+
+
 class FixedFocus(Revertible):
     """In place of a `Sweep` where the focus is fixed: the next frame, for the target's size in it has the range.
 
@@ -280,7 +327,14 @@ def peak_of(number: int, good: Sequence[Sighting], held_width: float | None) -> 
         held_width=held_width,
         outline=outline_of(sharpest),
         quality=peak.quality,
+        pace=pace_of(good),
     )
+
+
+def pace_of(frames: Sequence[Sighting]) -> float:
+    """How fast the lens went on the whole in the frames of a sweep, positions a second."""
+    seconds = 1e-9 * (frames[-1].t_ns - frames[0].t_ns)
+    return ((frames[-1].focus or 0) - (frames[0].focus or 0)) / seconds if seconds > 0.0 else 0.0
 
 
 def outline_of(seen: Sighting) -> Outline:
