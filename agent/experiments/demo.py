@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -30,8 +31,12 @@ class Dive(msgspec.Struct, frozen=True, kw_only=True):
     fleet: str = "tank"
     protocol: Protocol | None = None
     loss: float | None = None
+    lags: tuple[tuple[float, float], ...] = ()  # stamps late by, lens slow by, ms: one pair a seed, in turn
+    stale: bool = False  # calibrated before that
 
 
+LAGS = tuple(itertools.product((0.0, 60.0, 120.0), (50.0, 150.0, 300.0)))  # each is calibrated out, it is claimed
+HARMFUL = tuple((late, slow) for late, slow in LAGS if late or slow >= 300.0)  # the others hide in what a frame waits
 DIVES = {
     "tank": Dive(words="three robots"),
     "loss30": Dive(words="three, 30 % of messages lost", loss=0.3),
@@ -39,10 +44,13 @@ DIVES = {
     "line": Dive(words="five in a line", fleet="line_of_five"),
     "fixed": Dive(words="three of fixed focus", fleet="fixed"),
     "swim": Dive(words="robots that swim", fleet="swim"),
+    "late": Dive(words="late stamps and slow lenses", lags=LAGS),
+    "stale": Dive(words="the same, calibrated before", lags=HARMFUL, stale=True),
     "box": Dive(words="a stone in a box", fleet="box_target"),
     "fish": Dive(words="a fish", fleet="fish"),
 }
-AT_BALL = ("tank", "loss30", "paper", "line", "fixed", "swim")
+AT_BALL = ("tank", "loss30", "paper", "line", "fixed", "swim", "late")
+TIMING = "camera timing"  # the fault that robots tell where sweeps contradict their calibration
 
 
 OF_BALL = ("error_percent", "from_iteration", "prior_mm", "sigma_mm", "nees")
@@ -57,15 +65,27 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 def run(seed: int, case: str, settings: Settings) -> list[Row]:
     """One dive, as fast as the machine can. Raises Failed where one of its processes fails."""
     dive = DIVES[case]
+    lag = dive.lags[seed % len(dive.lags)] if dive.lags else (0.0, 0.0)
     with temporary_folder() as folder:
-        silent = Console(file=StringIO(), markup=False, emoji=False)
         _, summary = demo(
-            None, dive.protocol, dive.loss, seed, settings.limit_s, folder / "run", silent, dive.fleet, speed=math.inf
+            None,
+            dive.protocol,
+            dive.loss,
+            seed,
+            settings.limit_s,
+            folder / "run",
+            Console(file=StringIO(), markup=False, emoji=False),
+            dive.fleet,
+            speed=math.inf,
+            faults=dict(zip(("stamp_late_ms", "lens_slow_ms"), lag, strict=True)) if dive.lags else None,
+            stale=dive.stale,
         )
     (target,) = summary["targets"].values()
     judge = of_fish if case == "fish" else of_stone if case == "box" else of_ball
     doubted = any(row["verdict"] != "consistent" for row in target["agents"].values())
-    return [{"passed": summary["verdict"] == "pass", "doubted": doubted, **judge(target)}]
+    told = sum(TIMING in row["faults"] for row in target["agents"].values())
+    lags = {"late_ms": lag[0], "slow_ms": lag[1], "told": told} if dive.lags else {}
+    return [{"passed": summary["verdict"] == "pass", "doubted": doubted, **lags, **judge(target)}]
 
 
 # --- what its summary.json says of the target ---
@@ -106,6 +126,9 @@ def summary(rows: Rows) -> dict[str, Value]:
     found: dict[str, Value] = {}
     for case, dives in rows.items():
         median = partial(_median, dives)
+        if case == "stale":
+            found["stale_told"] = Share(sum(dive["told"] > 0 for dive in dives), len(dives))
+            continue
         found[f"{case}_doubted"] = Share(sum(dive["doubted"] for dive in dives), len(dives))
         found[f"{case}_passed"] = Share(sum(dive["passed"] for dive in dives), len(dives))
         if case in AT_BALL:
@@ -139,6 +162,9 @@ def _figures(case: str) -> tuple[Figure, ...]:
             figure("sigma_mm", "what its most modest robot says of its error, median", "mm"),
             figure("nees", "its worst robot's 3 (error / sigma)², median", most=6.0),
         )
+    elif case == "stale":
+        told = "dives in which a robot says that its camera's timing is not as calibrated"
+        return (figure("told", told, "%", least=ALL_PERCENT),)
     elif case == "box":
         own = (figure("outside_mm", "its worst robot's estimate outside of it, median", "mm"),)
     else:
@@ -177,5 +203,6 @@ CLAIM = Claim(
         when the robots have settled, or after two minutes of its own clock. What counts of a dive is its worst
         robot. In `fixed` cameras have a fixed focus: what is lost is what a sweep adds to the size of a ball, which own
         measurements and sigma show beside those of `tank`, and of a thing of unknown size all range: a bearing is left,
-        and where two robots' bearings meet is its place.""",
+        and where two robots' bearings meet is its place. In `late` and `stale` each seed takes the next pair of stamps
+        late by 0, 60 or 120 ms and lenses that take 50, 150 or 300 ms to come to rest; nine seeds have all.""",
 )

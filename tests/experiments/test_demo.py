@@ -37,5 +37,6 @@ def test_sixty_dives_show_the_share_that_is_asked_for() -> None:
 
 def test_every_case_tells_all_its_figures() -> None:
     of_case = {"box": {"outside_mm": 1.0}, "fish": dict.fromkeys(BARS, 1.0)}
+    of_case["stale"] = {"told": 1}
     rows = {case: [{**dive(0.1), **of_case.get(case, {})}] for case in DIVES}
     assert set(summary(rows)) == {figure.key for figure in CLAIM.figures}
