@@ -9,6 +9,7 @@ from agent.core.ranging.sweep import (
     SLACK_NS,
     TRACK_STEPS,
     FixedFocus,
+    LateFrames,
     Measurement,
     Rejected,
     Sweep,
@@ -295,3 +296,22 @@ def test_where_the_focus_is_fixed_the_next_frame_is_the_measurement() -> None:
     look.start(S)
     look.frame(replace(frame, t_ns=S, found=False, centre_px=None))
     assert look.finish(S) == Rejected(3, "target not seen in the frame")
+
+
+@pytest.mark.parametrize(("late_s", "told"), [(0.0, False), (0.01, False), (0.06, True), (-0.06, True)])
+def test_peaks_that_lie_farther_on_the_faster_the_lens_went_contradict_the_timing(late_s: float, told: bool) -> None:
+    fit = replace(FIT, width=118.0)  # as of most lenses: a step of a tracking sweep is longer than one of a full sweep
+    sweep, late = Sweep(fit, 30), LateFrames()
+    for _ in range(4):  # a full one and three of tracking
+        plan = sweep.start(0)
+        pace = (plan.focus[-1] - plan.focus[1]) / (0.1 * (len(plan.focus) - 2))
+        assert late.late_s() is None
+        peak = 431.0 + late_s * pace
+        clarity = {k: 10 + 90 / (1 + ((at - peak) / 118) ** 2) for k, at in enumerate(plan.focus)}
+        frames(sweep, plan, peak, t_ns=lambda index: index * S // 10, clarity=clarity.get)
+        found = sweep.finish(100 * S)
+        assert isinstance(found, Measurement) and found.pace == pytest.approx(pace)
+        late.add(found, FIT.noise)
+    assert (late.late_s() is not None) == told
+    if told:
+        assert late.late_s()[0] == pytest.approx(late_s, abs=0.01)

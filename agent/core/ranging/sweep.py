@@ -218,8 +218,8 @@ class LateFrames(Revertible):
     """Whether sweeps contradict what the calibration says of the camera's timing.
 
     Frames that are later than it says show the lens where it was, so that peaks seem to lie farther on, by the more the
-    faster it goes. Full sweeps go at twice the pace of tracking ones. For robots and targets at rest alone: what moves
-    changes its range from one sweep to the next.
+    faster it goes; and full sweeps have another pace than tracking ones, mostly half of it. For robots and targets at
+    rest alone: what moves changes its range from one sweep to the next.
     """
 
     def __init__(self) -> None:
@@ -243,10 +243,10 @@ class LateFrames(Revertible):
         if full is None or n < TRACKED:
             return None
         pace = full.pace - sum(each.pace for each in self._tracking) / n
-        if pace <= 0.0:
+        if not pace:
             return None
         late = (full.lens_position - sum(each.lens_position for each in self._tracking) / n) / pace
-        sigma = math.hypot(full.sigma, math.sqrt(sum(each.sigma**2 for each in self._tracking)) / n) / pace
+        sigma = math.hypot(full.sigma, math.sqrt(sum(each.sigma**2 for each in self._tracking)) / n) / abs(pace)
         return (late, sigma) if abs(late) > max(LATE_SIGMAS * sigma, LATE_S) else None
 
 
