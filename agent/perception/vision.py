@@ -36,7 +36,7 @@ from agent.perception.depth_sweep import BlockSweep
 from agent.perception.detection.detectors import Detector, load_detectors
 from agent.perception.enhancement.enhance import OnDemandEnhancer, one_thread
 from agent.perception.flow import LandmarkWatch
-from hw.camera.camera import PATIENCE_S, Camera, CameraError, Frame, Roi
+from hw.camera.camera import PATIENCE_S, Camera, CameraError, FocusRange, Frame, Roi
 
 # --- checks of what a camera delivers: a frame at all, and pictures that move ---
 
@@ -108,6 +108,12 @@ ARRIVES = 5.0  # lags for its whole range
 MOVES = 64  # commands that are remembered
 
 
+def movable(camera: Camera) -> FocusRange | None:
+    """The range of its lens; None where the focus is fixed: it cannot be set, or there is but one position."""
+    limits = camera.focus_range()
+    return limits if limits is not None and limits.lowest < limits.highest else None
+
+
 class Move(NamedTuple):
     """The lens from one command to the next."""
 
@@ -124,8 +130,11 @@ class TimedCamera:
         self._camera, self._timing, self._now_ns = camera, timing, now_ns
         self._late_ns = round(1e9 * timing.stamp_late_s)
         self._moves: deque[Move] = deque(maxlen=MOVES)
-        self.size, self.focus_range, self.close = camera.size, camera.focus_range, camera.close
+        self.size, self.close = camera.size, camera.close
         self.homing_s = max(HOMING_S, ARRIVES * timing.lens_lag_s)
+
+    def focus_range(self) -> FocusRange | None:
+        return movable(self._camera)
 
     def set_focus(self, lens_position: int) -> int:
         now_ns = self._now_ns()

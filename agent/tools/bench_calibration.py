@@ -30,7 +30,7 @@ from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, Ti
 from agent.core.ranging.focus import Array, Peak, TiltedPeak, fit_peak, lens_position, phase_sigma, with_sag
 from agent.core.step_io import SetPoint
 from agent.perception.depth_peaks import gradient_energy, luminance
-from agent.perception.vision import TimedCamera
+from agent.perception.vision import TimedCamera, movable
 from agent.process.command import Progress, Show, temporary_folder, with_bar, with_spinner
 from agent.process.launch import crew, wait_for
 from agent.robot.fleet_reader import load_fleet, load_robot
@@ -94,12 +94,6 @@ def calibrate(
         camera=seen,
         timing=timing,
     )
-
-
-def movable(camera: Camera) -> FocusRange | None:
-    """The range of its lens; None where the focus is fixed."""
-    limits = camera.focus_range()
-    return limits if limits is not None and limits.lowest < limits.highest else None
 
 
 def setting(done: int) -> str:
