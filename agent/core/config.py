@@ -62,7 +62,8 @@ class Target(Struct, frozen=True, kw_only=True):
 
     detector: Literal["ball", "box", "creature"] = "ball"
     colour: Colour | None = None  # of a ball or a creature: red if not given
-    # of a creature: from nose to tail, about; a part of it that is seen gives a bearing as the whole would, about
+    # of a creature: from nose to tail, about; a part of it that is seen gives a bearing as the whole would, about. Of a
+    # thing in a box: its longest side, by which a camera of fixed focus knows its range to a quarter
     length_m: Annotated[float, Meta(gt=0, le=2)] | None = None
     # of a ball
     radius_m: Positive | None = None  # None: a thing in a box, of unknown size

@@ -479,7 +479,7 @@ def _bent_px(outline: Outline, target: Target, px_per_m: float, side: float | No
 def _height_range_m(outline: Outline, target: Target, camera: CameraFit) -> float | None:
     """About how far a creature of that length is that is so high in the picture; None: its length is unknown, or not
     all of its height shows."""
-    if target.length_m is None or outline.size_px is None:
+    if target.length_m is None or target.detector == "box" or outline.size_px is None:
         return None
     high_px, y_px = outline.size_px[1], outline.centre_px[1]
     whole = y_px - 0.5 * high_px > CUT_PX and y_px + 0.5 * high_px < camera.height_px - CUT_PX
