@@ -13,7 +13,17 @@ from agent.core.attitude import Attitude
 from agent.core.capability import CameraAct, CameraView, LightView, SearchView, Situation
 from agent.core.config import Fleet, Pose, Robot
 from agent.core.messages import Vector
-from agent.core.ranging.camera_model import Calibration, Eye, camera_pose, gimbal_deg, look_at, ray, servos_us, to_world
+from agent.core.ranging.camera_model import (
+    Calibration,
+    Eye,
+    camera_pose,
+    gimbal_deg,
+    look_at,
+    ray,
+    servos_us,
+    sweep_waits_ns,
+    to_world,
+)
 from agent.core.ranging.pointing import Pointing, Search, off_centre_px, reachable
 from agent.core.ranging.search_pattern import SearchPattern, SearchPlan
 from agent.core.ranging.sweep import ByLight, FixedFocus, Measurement, Rejected, Sweep
@@ -29,8 +39,9 @@ class TargetMemory(Revertible):
     """What is remembered of one target, also while the camera looks at another."""
 
     def __init__(self, fleet: Fleet, calibration: Calibration) -> None:
-        fit = calibration.focus
-        self.sweep = FixedFocus() if fit is None else Sweep(fit, fleet.camera.sweep_steps)
+        fit, steps = calibration.focus, fleet.camera.sweep_steps
+        waits_ns = sweep_waits_ns(calibration.timing, steps)
+        self.sweep = FixedFocus() if fit is None else Sweep(fit, steps, waits_ns)
         self.search = Search()
         self.seen: Sighting | None = None  # newest frame with the target in it, gimbal at rest where it is now
 

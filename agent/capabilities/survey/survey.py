@@ -68,7 +68,15 @@ from agent.core.config import Fleet, Pose
 from agent.core.config import Survey as SurveyBehaviour
 from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
-from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, at_lens_position, servos_us, to_world
+from agent.core.ranging.camera_model import (
+    Calibration,
+    CameraFit,
+    Eye,
+    at_lens_position,
+    servos_us,
+    sweep_waits_ns,
+    to_world,
+)
 from agent.core.ranging.focus import at_tilt, h, lens_position, phase_sigma, range_variance
 from agent.core.ranging.pointing import reachable
 from agent.core.ranging.sweep import full_positions, home_position
@@ -295,7 +303,8 @@ class Surveyor(Revertible):
     @property
     def most_ns(self) -> int:
         """How long a sweep can take."""
-        return SLACK_NS + (self._fleet.camera.sweep_steps + 1) * STEP_NS
+        steps = self._fleet.camera.sweep_steps + 1
+        return SLACK_NS + steps * STEP_NS + sweep_waits_ns(self._calibration.timing, steps)
 
     def sweep(self, steady: bool, now_ns: int) -> SweepPlan | None:
         """The plan of a sweep over all of the view, once the camera rests; None: not yet."""
@@ -309,7 +318,8 @@ class Surveyor(Revertible):
         positions = full_positions(fit, self._fleet.camera.sweep_steps)
         self._sweeps += 1
         self._begin("swept", now_ns)
-        self._until_ns = now_ns + SLACK_NS + len(positions) * STEP_NS
+        waits_ns = sweep_waits_ns(self._calibration.timing, len(positions))
+        self._until_ns = now_ns + SLACK_NS + len(positions) * STEP_NS + waits_ns
         focus = (home_position(positions, fit), *positions)
         return SweepPlan(sweep=self._sweeps, focus=focus, block_px=block_px(self._calibration.camera))
 

@@ -102,8 +102,9 @@ def next_phase(phase: SweepPhase, event: SweepEvent) -> SweepPhase:
 class Sweep(Revertible):
     """Plans sweeps and collects their frames. The caller decides when the next may start."""
 
-    def __init__(self, fit: FocusFit, full_steps: int) -> None:
-        self._fit = fit
+    def __init__(self, fit: FocusFit, full_steps: int, waits_ns: int = 0) -> None:
+        """waits_ns: how much longer a full one may take for its camera's timing."""
+        self._fit, self._waits_ns = fit, waits_ns
         self._full_steps = full_steps
         self._number = 0
         self.phase: SweepPhase = "ready"
@@ -143,7 +144,7 @@ class Sweep(Revertible):
         self._number += 1
         self._frames, self._tilts = [], []
         self._plan = SweepPlan(sweep=self._number, focus=(home_position(lens_positions, self._fit), *lens_positions))
-        self._deadline_ns = now_ns + SLACK_NS + len(lens_positions) * STEP_NS
+        self._deadline_ns = now_ns + SLACK_NS + len(lens_positions) * STEP_NS + self._waits_ns
         return self._plan
 
     def frame(self, sighting: Sighting) -> None:
@@ -181,7 +182,7 @@ class Sweep(Revertible):
     @property
     def most_ns(self) -> int:
         """How long a full sweep may take, if its frames come in time."""
-        return SLACK_NS + self._full_steps * STEP_NS
+        return SLACK_NS + self._full_steps * STEP_NS + self._waits_ns
 
     def remark(self) -> str | None:
         """What a full sweep showed about the lens, once."""
