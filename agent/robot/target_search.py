@@ -26,13 +26,73 @@ from agent.core.ranging.camera_model import (
 )
 from agent.core.ranging.pointing import Pointing, Search, off_centre_px, reachable
 from agent.core.ranging.search_pattern import SearchPattern, SearchPlan
-from agent.core.ranging.sweep import ByLight, FixedFocus, Measurement, Rejected, Sweep
+from agent.core.ranging.sweep import (
+    SLACK_NS,
+    ByLight,
+    Measurement,
+    Rejected,
+    Sweep,
+    SweepPhase,
+    outline_of,
+)
+from agent.core.ranging.sweep import next_phase as next_sweep_phase
 from agent.core.step_io import Sighting, SweepPlan, Telemetry
 from agent.core.step_transaction import Revertible
 
 CENTRED = 0.09  # share of the image width: nearer to the middle than this, the gimbal stays still
 IN_VIEW_NS = 600_000_000  # two frames between sweeps
 LOST_NS = 1_200_000_000  # not found for this long, with the gimbal at rest
+
+
+class FixedFocus(Revertible):
+    """In place of a `Sweep` where the focus is fixed: the next frame, for the target's size in it has the range.
+
+    Nothing moves the lens, and there is no plan: it takes a frame of those between sweeps.
+    """
+
+    most_ns = SLACK_NS  # as of a sweep
+
+    def __init__(self) -> None:
+        self._number = 0
+        self.phase: SweepPhase = "ready"
+        self._from_ns = 0  # frames exposed later count
+        self._seen: Sighting | None = None  # the first of them
+
+    @property
+    def running(self) -> bool:
+        return self.phase == "running"
+
+    def ready(self, now_ns: int) -> bool:
+        return not self.running
+
+    def start(self, now_ns: int, by_light: ByLight | None = None) -> None:
+        self.phase = next_sweep_phase(self.phase, "start")
+        self._number, self._from_ns, self._seen = self._number + 1, now_ns, None
+
+    def frame(self, sighting: Sighting) -> None:
+        if self.running and self._seen is None and sighting.t_ns >= self._from_ns:
+            self._seen = sighting
+
+    def telemetry(self, telemetry: Telemetry) -> None:
+        """One frame needs no robot that stays still."""
+
+    def finish(self, now_ns: int) -> Measurement | Rejected | None:
+        seen = self._seen
+        if not self.running or (seen is None and now_ns < self._from_ns + SLACK_NS):
+            return None
+        self.phase = next_sweep_phase(self.phase, "end")
+        if seen is None or seen.centre_px is None:
+            return Rejected(self._number, "no frame in time" if seen is None else "target not seen in the frame")
+        return Measurement(self._number, seen.t_ns, None, 0.0, 0.0, None, outline_of(seen), seen.score)
+
+    def take_back(self) -> None:
+        """No measurement goes by another."""
+
+    def remark(self) -> str | None:
+        return None
+
+    def forget(self) -> None:
+        self.phase = next_sweep_phase(self.phase, "lose")
 
 
 class TargetMemory(Revertible):

@@ -6,9 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.ranging.sweep import (
-    SLACK_NS,
     TRACK_STEPS,
-    FixedFocus,
     LateFrames,
     Measurement,
     Rejected,
@@ -277,25 +275,6 @@ def test_the_other_end_where_smaller_positions_are_nearer() -> None:
     assert short_of_infinity(fit, [200, 600, 990, 1010]) is None
     says = short_of_infinity(fit, [200, 600, 900, 930, 930])
     assert says == "the lens stops at 930, infinity is at 1000: no range to targets beyond 1.3 m"
-
-
-def test_where_the_focus_is_fixed_the_next_frame_is_the_measurement() -> None:
-    look = FixedFocus()
-    frame = Sighting(t_ns=S - 1, frame=1, target="ball", found=True, centre_px=(300.0, 240.0), radius_px=99.0)
-    assert look.start(S) is None and look.running
-    look.frame(frame)  # exposed before
-    assert look.finish(S) is None
-    look.frame(replace(frame, t_ns=S + 1, frame=2, centre_px=(320.0, 240.0)))
-    look.frame(replace(frame, t_ns=S + 2, frame=3))
-    found = look.finish(S + 3)
-    assert isinstance(found, Measurement) and found.lens_position is None
-    assert (found.t_ns, found.outline.centre_px, found.outline.radius_px) == (S + 1, (320.0, 240.0), 99.0)
-    assert look.ready(S + 3) and look.finish(S + 4) is None
-    look.start(S)
-    assert look.finish(S + SLACK_NS) == Rejected(2, "no frame in time")
-    look.start(S)
-    look.frame(replace(frame, t_ns=S, found=False, centre_px=None))
-    assert look.finish(S) == Rejected(3, "target not seen in the frame")
 
 
 @pytest.mark.parametrize(("late_s", "told"), [(0.0, False), (0.01, False), (0.06, True), (-0.06, True)])
