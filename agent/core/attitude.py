@@ -26,7 +26,9 @@ class Attitude(NamedTuple):
 class AttitudeLog(Revertible):
     """Telemetry in order of arrival."""
 
-    def __init__(self) -> None:
+    def __init__(self, keep_ns: int = KEEP_NS) -> None:
+        """keep_ns: how long telemetry is kept."""
+        self._keep_ns = keep_ns
         self._log: deque[Telemetry] = deque()
         self.status: Telemetry | None = None  # the newest that has what comes once a second
 
@@ -38,7 +40,7 @@ class AttitudeLog(Revertible):
         self._log.append(telemetry)
         if telemetry.heap_free_b is not UNSET:
             self.status = telemetry
-        while self._log[0].t_ns < telemetry.t_ns - KEEP_NS:
+        while self._log[0].t_ns < telemetry.t_ns - self._keep_ns:
             self._log.popleft()
 
     def extend(self, told: Iterable[Telemetry]) -> None:

@@ -279,6 +279,7 @@ class Capability(Revertible):
     name: ClassVar[str]
     table: ClassVar[str]  # of the fleet file: a field of config.Fleet, or extend.NAME
     does: ClassVar[str]  # of a robot that has it, in the refusal of its messages where that table is missing
+    sweeps: ClassVar[bool] = False  # its views or its light are for sweeps: a camera of fixed focus is of no use to it
     lacks: ClassVar[str] = ""  # in the refusal of its commands where it is missing
     topics: ClassVar[tuple[Topic, ...]] = ()
     commands: ClassVar[tuple[type, ...]] = ()  # of operators; `Resume` and `HoldHere` come to all

@@ -63,7 +63,8 @@ class Target(Struct, frozen=True, kw_only=True):
 
     detector: Literal["ball", "box", "creature"] = "ball"
     colour: Colour | None = None  # of a ball or a creature: red if not given
-    # of a creature: from nose to tail, about; a part of it that is seen gives a bearing as the whole would, about
+    # of a creature: from nose to tail, about; a part of it that is seen gives a bearing as the whole would, about. Of a
+    # thing in a box: its longest side, by which a camera of fixed focus knows its range to a quarter
     length_m: Annotated[float, Meta(gt=0, le=2)] | None = None
     # of a ball
     radius_m: Positive | None = None  # None: a thing in a box, of unknown size
@@ -315,6 +316,10 @@ class Twin(Struct, frozen=True, kw_only=True):
     """Only the twin reads this: which scene, which world of that scene, where its sockets are."""
 
     scene: str = "tank"
+    camera: str | None = None  # preset of hw.twin.optics.lens; none: the scene's
+    # faults of all cameras, on the bench and in the dive
+    stamp_late_ms: Annotated[float, Meta(ge=0, le=200)] = 0.0  # by which frames are stamped after they were exposed
+    lens_slow_ms: Annotated[float, Meta(ge=0, le=500)] = 0.0  # in which the lens goes 95 % of its way
     seed: Annotated[int, Meta(ge=0)] = 0
     dir: str | None = None
 

@@ -157,13 +157,14 @@ def sweep_outcome(target: str, result: Measurement | Rejected, fix: Fix | NoRang
     """What the log shows of a finished sweep; `fix`: where its peak puts the target, if it has one."""
     if isinstance(result, Rejected):
         return SweepOutcome(sweep=result.sweep, target=target, held_width=result.held_width, rejected=result.reason)
+    swept = result.lens_position is not None
     return SweepOutcome(
         sweep=result.sweep,
         target=target,
         t_ns=result.t_ns,
         lens_position=result.lens_position,
-        sigma=result.sigma,
-        width=result.width,
+        sigma=result.sigma if swept else None,
+        width=result.width if swept else None,
         held_width=result.held_width,
         quality=result.quality,
         x_m=fix.position_m if isinstance(fix, Fix) else None,

@@ -247,12 +247,15 @@ def demo(
     speed: float = 1.0,
     secure: bool = False,
     page: bool = False,
+    faults: Mapping[str, float] | None = None,
+    stale: bool = False,
 ) -> tuple[Path, dict[str, Any]]:
     """Run the experiment; returns its folder and the content of summary.json. Raises ConfigError and Failed.
 
     `robots`, `protocol`, `loss`, `seed`: see demo_fleet. `fleet_name`: a fleet file, or the name of one that
     comes with the package. `speed`: of the dive's clock against the wall's, at most. `page`: with a page to look at it
-    and to order, until whoever looks has seen enough.
+    and to order, until whoever looks has seen enough. `faults`: keys of [twin] as they are to be; `stale`: cameras were
+    calibrated before they had them.
 
     The robots sign with keys of this run, which go with its temporary folder: they are good for nothing else, a run's
     folder is given to others, and may lie where files have no modes. The fleet file as used names the folder `keys`
@@ -262,7 +265,8 @@ def demo(
     file = fleet_file(fleet_name)
     with ExitStack() as stack:
         folder = stack.enter_context(temporary_folder())
-        fleet = demo_fleet(robots, protocol, loss, seed, None, folder, file)
+        sound = demo_fleet(robots, protocol, loss, seed, None, folder, file)
+        fleet = msgspec.structs.replace(sound, twin=_with(sound.twin, **(faults or {})))
         own = load_fleet(file)
         wished = ["tcp/" + own.robot[name].listen.partition("/")[2] for name in fleet.robot]
         fleet = listening(fleet, stack.enter_context(reserved(wished)))
@@ -273,7 +277,10 @@ def demo(
         write_whole(path, dump(with_pictures(fleet, run)))
         stack.enter_context(keeping(run, console))
         processes = stack.enter_context(crew(run / "logs", {VARIABLE: str(folder / FOLDER)}))
-        calibrate(fleet, path, processes, console)
+        bench = run / "fleet_before.toml" if stale else path
+        if stale:
+            write_whole(bench, dump(with_pictures(sound, run)))
+        calibrate(fleet, bench, processes, console)
         survey = SurveyWatch(fleet) if fleet.coverage is not None else None
         if page:
             console.print(open_page(fleet, path, processes), highlight=False, soft_wrap=True)

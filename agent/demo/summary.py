@@ -23,7 +23,7 @@ import numpy as np
 from agent.core.capability_messages import Claim
 from agent.core.config import Fleet
 from agent.core.messages import State, Vector
-from agent.core.status import UNRECORDED
+from agent.core.status import UNRECORDED, fault_kind
 from replay.check.reexecute import black_boxes, open_boxes
 from replay.report.creature_track import SETTLES_NS, CreatureTrack, creature_track, errors
 
@@ -323,8 +323,9 @@ def summarize(
     that swims.
 
     `targets` has every target; `truth_m` and `agents` are those of the first. Of each robot `verdict` and `causes` are
-    what it said last of its own belief; they decide nothing here. survey: of a fleet with [coverage], whose
-    verdict is over what it surveyed, for its cameras are at that and not at targets.
+    what it said last of its own belief, `faults` the kinds of all faults that it ever told; they decide nothing here.
+    survey: of a fleet with [coverage], whose verdict is over what it surveyed, for its cameras are at that and not at
+    targets.
     """
     targets: dict[str, Any] = {}
     why = []
@@ -344,8 +345,9 @@ def summarize(
     why += list(unrecorded(histories))
     for target, about in targets.items():
         for name, row in about["agents"].items():
-            newest = histories[target][name].newest if name in histories[target] else None
-            row |= {"verdict": newest.verdict, "causes": list(newest.causes)} if newest else NOBODY
+            states = histories[target][name].states if name in histories[target] else []
+            row |= {"verdict": states[-1].verdict, "causes": list(states[-1].causes)} if states else NOBODY
+            row["faults"] = sorted({fault_kind(fault) for state in states for fault in state.faults})
     first, depth_m = next(iter(targets)), next(iter(fleet.robot.values())).depth_m
     return {
         "schema": 1,

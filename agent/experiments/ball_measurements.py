@@ -27,6 +27,7 @@ from agent.core.messages import Vector
 from agent.core.ranging.camera_model import (
     Calibration,
     Eye,
+    TimingFit,
     camera_pose,
     gimbal_deg,
     look_at,
@@ -38,7 +39,7 @@ from agent.core.step_io import SetPoint, Sighting, Telemetry
 from agent.experiments.claim import Row
 from agent.perception.clarity import around
 from agent.perception.detection.detectors import load_detectors
-from agent.perception.vision import HOMING_S, Vision
+from agent.perception.vision import HOMING_S, TimedCamera, Vision
 from agent.process.command import shipped_fleet, temporary_folder
 from agent.robot.fleet_reader import load_fleet
 from agent.tools.bench_calibration import BACKLASH_US, calibrate, focus_rows
@@ -86,7 +87,8 @@ class PosedRobot:
 
     def focus_rows(self) -> list[FocusRow]:
         """Its first part: the sharpest lens position at each distance."""
-        return focus_rows(self._fleet, self, self._bench.place, lambda done, total: None)
+        camera = TimedCamera(self, TimingFit(), lambda: 0)
+        return focus_rows(self._fleet, camera, self.focus_range(), self._bench.place, lambda done, total: None)
 
     def submerge(self, water: WaterKind, solids: tuple[Solid, ...], tags: Sequence[PaintedTag] = ()) -> None:
         """Hours later, in this kind of water, before these solids and tags alone."""
@@ -239,9 +241,9 @@ def sweep_ball(
     robot: PosedRobot, vision: Vision, fleet: Fleet, target: str, known: Calibration
 ) -> Measurement | NoRange:
     """One full sweep as the vision worker does it, and what the sweep's state machine makes of it."""
-    state = Sweep(known.focus, fleet.camera.sweep_steps)
+    state = Sweep(known.swept, fleet.camera.sweep_steps)
     plan = state.start(0)
-    middle = robot.set_focus(round(0.5 * (known.focus.lowest + known.focus.highest)))
+    middle = robot.set_focus(round(0.5 * (known.swept.lowest + known.swept.highest)))
     seen = vision.sight(robot.read(settle_s=HOMING_S), target, middle, 0, -1, None)
     robot.set_focus(plan.focus[0])
     robot.read(settle_s=HOMING_S)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
@@ -30,18 +31,29 @@ class Dive(msgspec.Struct, frozen=True, kw_only=True):
     fleet: str = "tank"
     protocol: Protocol | None = None
     loss: float | None = None
+    lags: tuple[tuple[float, float], ...] = ()  # stamps late by, lens slow by, ms: one pair a seed, in turn
+    stale: bool = False  # calibrated before that
 
 
+LAGS = tuple(itertools.product((0.0, 60.0, 120.0), (50.0, 150.0, 300.0)))  # each is calibrated out, it is claimed
+HARMFUL = tuple((late, slow) for late, slow in LAGS if late or slow >= 300.0)  # the others hide in what a frame waits
 DIVES = {
     "tank": Dive(words="three robots"),
     "loss30": Dive(words="three, 30 % of messages lost", loss=0.3),
     "paper": Dive(words="three, the paper's protocol", protocol="paper"),
     "line": Dive(words="five in a line", fleet="line_of_five"),
+    "fixed": Dive(words="three of fixed focus", fleet="fixed"),
     "swim": Dive(words="robots that swim", fleet="swim"),
+    "late": Dive(words="late stamps and slow lenses", lags=LAGS),
+    "stale": Dive(words="the same, calibrated before", lags=HARMFUL, stale=True),
     "box": Dive(words="a stone in a box", fleet="box_target"),
     "fish": Dive(words="a fish", fleet="fish"),
 }
-AT_BALL = ("tank", "loss30", "paper", "line", "swim")
+AT_BALL = ("tank", "loss30", "paper", "line", "fixed", "swim", "late")
+TIMING = "camera timing"  # the fault that robots tell where sweeps contradict their calibration
+
+
+OF_BALL = ("error_percent", "from_iteration", "prior_mm", "sigma_mm", "nees")
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
@@ -53,15 +65,27 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 def run(seed: int, case: str, settings: Settings) -> list[Row]:
     """One dive, as fast as the machine can. Raises Failed where one of its processes fails."""
     dive = DIVES[case]
+    lag = dive.lags[seed % len(dive.lags)] if dive.lags else (0.0, 0.0)
     with temporary_folder() as folder:
-        silent = Console(file=StringIO(), markup=False, emoji=False)
         _, summary = demo(
-            None, dive.protocol, dive.loss, seed, settings.limit_s, folder / "run", silent, dive.fleet, speed=math.inf
+            None,
+            dive.protocol,
+            dive.loss,
+            seed,
+            settings.limit_s,
+            folder / "run",
+            Console(file=StringIO(), markup=False, emoji=False),
+            dive.fleet,
+            speed=math.inf,
+            faults=dict(zip(("stamp_late_ms", "lens_slow_ms"), lag, strict=True)) if dive.lags else None,
+            stale=dive.stale,
         )
     (target,) = summary["targets"].values()
     judge = of_fish if case == "fish" else of_stone if case == "box" else of_ball
     doubted = any(row["verdict"] != "consistent" for row in target["agents"].values())
-    return [{"passed": summary["verdict"] == "pass", "doubted": doubted, **judge(target)}]
+    told = sum(TIMING in row["faults"] for row in target["agents"].values())
+    lags = {"late_ms": lag[0], "slow_ms": lag[1], "told": told} if dive.lags else {}
+    return [{"passed": summary["verdict"] == "pass", "doubted": doubted, **lags, **judge(target)}]
 
 
 # --- what its summary.json says of the target ---
@@ -75,9 +99,14 @@ def worst(rows: Mapping[Any, Row], key: str) -> float | None:
 
 def of_ball(target: dict[str, Any]) -> Row:
     rows = target["agents"]
+    says = [(row["error_mm"], row["sigma_m"]) for row in rows.values()]
+    sure = None if any(None in each for each in says) else [3.0 * (1e-3 * error / sigma) ** 2 for error, sigma in says]
     return {
         "error_percent": worst(rows, "relative_error_percent"),
         "from_iteration": worst(rows, "below_0_4_percent_from"),
+        "prior_mm": worst(rows, "prior_rmse_mm"),
+        "sigma_mm": None if sure is None else 1e3 * max(sigma for _, sigma in says),
+        "nees": None if sure is None else max(sure),
     }
 
 
@@ -97,13 +126,16 @@ def summary(rows: Rows) -> dict[str, Value]:
     found: dict[str, Value] = {}
     for case, dives in rows.items():
         median = partial(_median, dives)
+        if case == "stale":
+            found["stale_told"] = Share(sum(dive["told"] > 0 for dive in dives), len(dives))
+            continue
         found[f"{case}_doubted"] = Share(sum(dive["doubted"] for dive in dives), len(dives))
         found[f"{case}_passed"] = Share(sum(dive["passed"] for dive in dives), len(dives))
         if case in AT_BALL:
             errors = [dive["error_percent"] for dive in dives]
             within = sum(error is not None and error < PASS_PERCENT for error in errors)
             found[f"{case}_within"] = Share(within, len(dives))
-            found |= {f"{case}_{key}": median(key) for key in ("error_percent", "from_iteration")}
+            found |= {f"{case}_{key}": median(key) for key in OF_BALL}
         elif case == "box":
             found["box_outside_mm"] = median("outside_mm")
         else:
@@ -126,7 +158,13 @@ def _figures(case: str) -> tuple[Figure, ...]:
             figure("error_percent", "its worst robot's relative error, median", "%", most=0.4, paper="< 0.4 %"),
             figure("within", "dives in which all are within 0.4 %", "%", least=ALL_PERCENT),
             figure("from_iteration", "all stay below 0.4 % from iteration, median", paper="about 30"),
+            figure("prior_mm", "its worst robot's own measurements off by, rms, median", "mm"),
+            figure("sigma_mm", "what its most modest robot says of its error, median", "mm"),
+            figure("nees", "its worst robot's 3 (error / sigma)², median", most=6.0),
         )
+    elif case == "stale":
+        told = "dives in which a robot says that its camera's timing is not as calibrated"
+        return (figure("told", told, "%", least=ALL_PERCENT),)
     elif case == "box":
         own = (figure("outside_mm", "its worst robot's estimate outside of it, median", "mm"),)
     else:
@@ -163,5 +201,8 @@ CLAIM = Claim(
     explanation="""Each seed is one dive of `aucamp demo`: robots calibrate their cameras, then find the target and
         agree about it, as processes that talk over real links; water, cameras and bodies are the twin's. A dive ends
         when the robots have settled, or after two minutes of its own clock. What counts of a dive is its worst
-        robot.""",
+        robot. In `fixed` cameras have a fixed focus: what is lost is what a sweep adds to the size of a ball, which own
+        measurements and sigma show beside those of `tank`, and of a thing of unknown size all range: a bearing is left,
+        and where two robots' bearings meet is its place. In `late` and `stale` each seed takes the next pair of stamps
+        late by 0, 60 or 120 ms and lenses that take 50, 150 or 300 ms to come to rest; nine seeds have all.""",
 )

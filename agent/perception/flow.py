@@ -184,13 +184,15 @@ OPENS_S = 0.02  # the exposure of a frame begins so long before its middle at mo
 class LandmarkWatch:
     """Tags and followed points of one camera's frames. The worker's thread fills it, any other drains it."""
 
-    def __init__(self, camera: CameraFit, focus: FocusFit, hz: float) -> None:
-        """hz: at most so many frames a second are searched; between sweeps the worker reads as many."""
+    def __init__(self, camera: CameraFit, focus: FocusFit | None, hz: float) -> None:
+        """hz: at most so many frames a second are searched; between sweeps the worker reads as many. focus: None where
+        it is fixed."""
         self._camera, self.period_s = camera, 1.0 / hz
-        self.sharp = round(lens_position(focus, REST_M))  # where landmarks are
-        self._reach = abs(lens_position(focus, NEAR_M) - self.sharp)
+        self.sharp = 0 if focus is None else round(lens_position(focus, REST_M))  # where landmarks are
+        self._reach = 0.0 if focus is None else abs(lens_position(focus, NEAR_M) - self.sharp)
         self._wanted = self._rests = self.sharp  # what the lens is to be told between sweeps, and was told
-        self.rest: int | None = self.sharp  # what the device says that it did; None: its lens does not move
+        # what the device says that it did; None: its lens does not move
+        self.rest: int | None = None if focus is None else self.sharp
         self._lock = Lock()  # guards the next two
         self._tags: deque[SeenTags] = deque(maxlen=QUEUE)
         self._flows: deque[Flow] = deque(maxlen=QUEUE)

@@ -19,6 +19,7 @@ from itertools import count
 from pathlib import Path
 from threading import Condition, Thread
 from traceback import extract_tb
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -28,14 +29,14 @@ from agent.clock import machine
 from agent.clock.clock import CAMERA, Clock, Part, StandingClock, part_name
 from agent.core.config import Fleet
 from agent.core.messages import MAX_JPEG, Image
-from agent.core.ranging.camera_model import CameraFit
+from agent.core.ranging.camera_model import RESTS, CameraFit, TimingFit
 from agent.core.step_io import BlockPeaks, Sighting, SweepPlan
 from agent.perception.clarity import UNSEEN, around, prepare, target_clarity
 from agent.perception.depth_sweep import BlockSweep
 from agent.perception.detection.detectors import Detector, load_detectors
 from agent.perception.enhancement.enhance import OnDemandEnhancer, one_thread
 from agent.perception.flow import LandmarkWatch
-from hw.camera.camera import Camera, CameraError, Frame, Roi
+from hw.camera.camera import PATIENCE_S, Camera, CameraError, FocusRange, Frame, Roi
 
 # --- checks of what a camera delivers: a frame at all, and pictures that move ---
 
@@ -100,10 +101,69 @@ def broke_off(error: BaseException) -> str:
     return f"{type(error).__name__} in {where[-1] if where else 'vision'}: {' '.join(str(error).split())}"[:MAX_FAULT]
 
 
+# --- when a frame was exposed, and where the lens was then ---
+
+HOMING_S = 0.12  # a lens across its whole range: three to four frames of 30 per second
+ARRIVES = 5.0  # lags for its whole range
+MOVES = 64  # commands that are remembered
+
+
+def movable(camera: Camera) -> FocusRange | None:
+    """The range of its lens; None where the focus is fixed: it cannot be set, or there is but one position."""
+    limits = camera.focus_range()
+    return limits if limits is not None and limits.lowest < limits.highest else None
+
+
+class Move(NamedTuple):
+    """The lens from one command to the next."""
+
+    since_ns: int
+    start: float  # lens position
+    goal: int
+
+
+class TimedCamera:
+    """A camera with what its calibration knows of its timing taken out: frames have the time of their exposure, and
+    wait until the lens has moved. `now_ns`: the clock of the camera's stamps."""
+
+    def __init__(self, camera: Camera, timing: TimingFit, now_ns: Callable[[], int]) -> None:
+        self._camera, self._timing, self._now_ns = camera, timing, now_ns
+        self._late_ns = round(1e9 * timing.stamp_late_s)
+        self._moves: deque[Move] = deque(maxlen=MOVES)
+        self.size, self.close = camera.size, camera.close
+        self.homing_s = max(HOMING_S, ARRIVES * timing.lens_lag_s)
+
+    def focus_range(self) -> FocusRange | None:
+        return movable(self._camera)
+
+    def set_focus(self, lens_position: int) -> int:
+        now_ns = self._now_ns()
+        reported = self._camera.set_focus(lens_position)
+        self._moves.append(Move(now_ns, self._at(now_ns) if self._moves else reported, reported))
+        return reported
+
+    def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
+        late_s = max(self._timing.stamp_late_s, 0.0)
+        settle_s = late_s + max(settle_s, RESTS * self._timing.lens_lag_s if settle_s else 0.0)
+        frame = self._camera.read(roi, settle_s=settle_s, timeout_s=timeout_s + settle_s)
+        return frame._replace(t_ns=frame.t_ns - self._late_ns)
+
+    def lens_position(self, t_ns: int) -> int | None:
+        """Where the lens was in a frame of that time; None: it was never told to move."""
+        return round(self._at(t_ns)) if self._moves else None
+
+    def _at(self, t_ns: int) -> float:
+        lag_ns = 1e9 * self._timing.lens_lag_s
+        if not lag_ns:
+            return self._moves[-1].goal  # stamps of another clock are as good
+        move = next((each for each in reversed(self._moves) if each.since_ns <= t_ns), self._moves[0])
+        left = math.exp(-max(t_ns - move.since_ns, 0) / lag_ns)
+        return move.goal + left * (move.start - move.goal)
+
+
 # --- the vision worker ---
 
 IDLE_PERIOD_S = 0.25  # between plans: enough to notice that the target moved or the camera died
-HOMING_S = 0.12  # a lens across its whole range: three to four frames of 30 per second
 READ_TIMEOUT_S = 0.8  # settling and many frames; less than close() waits
 RETRY_S = (0.2, 2.0)  # first and longest pause before a lost camera is opened again
 SLACK_S = 0.025  # how long a frame may be looked at before a dive's clock waits
@@ -130,8 +190,9 @@ class Vision:
         on_frame: Callable[[Frame, Sequence[Sighting]], None] | None = None,
         enhancer: OnDemandEnhancer | None = None,
         landmarks: LandmarkWatch | None = None,
+        timing: TimingFit | None = None,
     ) -> None:
-        self._open_camera = open_camera
+        self._open_camera, self._timing = open_camera, timing or TimingFit()
         self._settings = fleet.camera
         self._detectors = detectors
         self._camera = camera
@@ -224,7 +285,7 @@ class Vision:
         pause_s = RETRY_S[0]
         while not self._closing:
             try:
-                camera = self._open_camera()
+                camera = TimedCamera(self._open_camera(), self._timing, self._camera_ns)
                 try:
                     self._lens_position, self._frozen_watch = None, FrozenWatch()
                     while not self._closing:
@@ -244,7 +305,11 @@ class Vision:
             self._wait(part, pause_s, until_plan=False)
             pause_s = min(2.0 * pause_s, RETRY_S[1])
 
-    def _work(self, camera: Camera, part: Part) -> None:
+    def _camera_ns(self) -> int:
+        """Now, by the clock of the camera's stamps."""
+        return self._clock.now_ns() - self._clock.camera_offset_ns
+
+    def _work(self, camera: TimedCamera, part: Part) -> None:
         """One plan, or one idle frame."""
         with self._changed:
             plan, self._plan = self._plan, None
@@ -260,7 +325,7 @@ class Vision:
         else:
             self._sweep(camera, plan, part)
 
-    def _rest_lens(self, camera: Camera) -> None:
+    def _rest_lens(self, camera: TimedCamera) -> None:
         """Where it is to be between sweeps. A lens takes the nearest of its steps, or does not move at all."""
         landmarks, wanted = self._landmarks, self._rest
         if landmarks is not None:
@@ -272,11 +337,11 @@ class Vision:
         if landmarks is not None:
             landmarks.rested(wanted, self._lens_position)
 
-    def _survey(self, camera: Camera, plan: SweepPlan, part: Part) -> None:
+    def _survey(self, camera: TimedCamera, plan: SweepPlan, part: Part) -> None:
         """A sweep over whole frames, of no target."""
         view = BlockSweep(plan, self._camera)
         self._lens_position = camera.set_focus(plan.focus[0])
-        self._wait(part, HOMING_S, until_plan=True)
+        self._wait(part, camera.homing_s, until_plan=True)
         for lens_position in plan.focus[1:]:
             if self._closing or self._plan is not None:
                 return
@@ -286,10 +351,10 @@ class Vision:
         with self._changed:
             self._views.append(peaks)
 
-    def _sweep(self, camera: Camera, plan: SweepPlan, part: Part) -> None:
+    def _sweep(self, camera: TimedCamera, plan: SweepPlan, part: Part) -> None:
         target = plan.target or next(iter(self._detectors))
         self._lens_position = camera.set_focus(plan.focus[0])
-        self._wait(part, HOMING_S, until_plan=True)
+        self._wait(part, camera.homing_s, until_plan=True)
         first: Sighting | None = None
         for index, lens_position in enumerate(plan.focus[1:], start=1):
             if self._closing or self._plan is not None:
@@ -301,7 +366,7 @@ class Vision:
 
     def _look(
         self,
-        camera: Camera,
+        camera: TimedCamera,
         targets: Sequence[str],
         sweep: int = 0,
         index: int = -1,
@@ -320,13 +385,14 @@ class Vision:
         roi = around(last.centre_px, last.radius_px, camera.size) if part and last and last.found else None
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)
         check(frame, camera.size)
+        lens_position = camera.lens_position(frame.t_ns)
         self.frozen = self._frozen_watch.see(frame, self._clock.now_ns())
-        if keep is not None and self._lens_position is not None:
-            keep.add(frame.image, self._lens_position, frame.t_ns + self._clock.camera_offset_ns)
-        sightings = [self.sight(frame, target, self._lens_position, sweep, index, first) for target in targets]
+        if keep is not None and lens_position is not None:
+            keep.add(frame.image, lens_position, frame.t_ns + self._clock.camera_offset_ns)
+        sightings = [self.sight(frame, target, lens_position, sweep, index, first) for target in targets]
         self._last.update(zip(targets, sightings, strict=True))
         if self._landmarks is not None and searched:
-            self._landmarks.see(frame, self._lens_position, self._clock.camera_offset_ns, sightings)
+            self._landmarks.see(frame, lens_position, self._clock.camera_offset_ns, sightings)
         self.frames += 1
         with self._changed:
             for sighting in sightings:

@@ -50,14 +50,19 @@ from agent.perception.detection.detectors import BoxDetector, Detector, colours_
 from agent.perception.enhancement.enhance import OnDemandEnhancer, default
 from agent.perception.flow import LandmarkWatch
 from agent.perception.tracking.appearance import Box
-from agent.perception.vision import Preview, Vision
+from agent.perception.vision import Preview, Vision, movable
 from agent.process.certificates import credentials
 from agent.process.keys import RobotKeys, Sign, robot_keys, unsigned
 from agent.process.transport import Transport, fleet_clock
 from agent.robot.fleet_reader import load_fleet, load_robot, with_behaviour
 from agent.robot.step import Agent
+<<<<<<< HEAD
 from hw.camera import known_scheme, open_camera
 from hw.camera.camera import Frame
+=======
+from hw.camera.camera import Camera, CameraError, Frame
+from hw.camera.open import known_scheme, open_camera
+>>>>>>> camtime
 from hw.stm32.driver import Motors, Stm32, open_port_path
 from hw.twin.twin_folder import twin_dir
 from replay.files.info import RateNotes
@@ -367,9 +372,13 @@ class AgentProcess:
         swims, known = fleet.navigation, self._setup.calibration
         self._landmarks = LandmarkWatch(known.camera, known.focus, swims.follow_hz) if swims else None
         self._eyes = Vision(
+<<<<<<< HEAD
             lambda: open_camera(
                 self._setup.robot.camera, self._sockets, self._size, self._clock, fleet.camera.mains_hz
             ),
+=======
+            self._open_camera,
+>>>>>>> camtime
             fleet,
             self._setup.calibration.camera,
             self._setup.detectors,
@@ -378,9 +387,21 @@ class AgentProcess:
             on_frame=self._on_frame,
             enhancer=enhancer,
             landmarks=self._landmarks,
+            timing=known.timing,
         )
         self._eyes.start()
         self._stack.callback(self._eyes.close)
+
+    def _open_camera(self) -> Camera:
+        """Raises CameraError where there is none, and for one whose lens is nowhere if nothing sets it."""
+        camera = open_camera(self._setup.robot.camera, self._sockets, self._size, self._clock)
+        if self._setup.calibration.focus is None and movable(camera) is not None:
+            camera.close()
+            raise CameraError(
+                "its focus can be set, and the calibration has no table [focus], as if it were fixed; "
+                f"measure it by `aucamp calibrate run FLEET --robot {self._setup.name}`"
+            )
+        return camera
 
     def open_module(self, arm: bool) -> None:
         """The control module. Last, so that its motors are off before anything else ends."""

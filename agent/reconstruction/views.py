@@ -391,7 +391,7 @@ def keyframe(
     block = min(block - block % 2, height, width)
     growth = growth_of(images, lens_positions, calibration)
     swept = clarity_of(list(images), lens_positions, block, growth, split=True)
-    focus = at_tilt(calibration.focus, tilt_rad)
+    focus = at_tilt(calibration.swept, tilt_rad)
     found = measure(swept, block, focus)
     fit = at_lens_position(calibration.camera, float(lens_positions[swept.reference]))
     whole = Camera(fit.f_px, fit.cx_px - corner_px[0], fit.cy_px - corner_px[1], fit.bend, fit.ahead_m, width, height)

@@ -72,14 +72,35 @@ def broken_extend_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
             yield from kind.broken_rules(fleet)
 
 
+def _refuse_sweeps(context: Context) -> None:
+    """Raises ConfigError for what a fleet file asks of a camera of fixed focus in vain."""
+    fleet = context.fleet
+    if context.calibration.focus is not None:
+        return
+    swept = [f"[{kind.table}]" for kind in CAPABILITIES if kind.sweeps and table_of(fleet, kind) is not None]
+    swept += ["ranging.cues = 'focus'"] if fleet.ranging.cues == "focus" else []
+    unsized = [name for name, of in fleet.target.items() if of.radius_m is None and of.length_m is None]
+    means = fleet.estimation.protocol != "evidence"
+    swept += (
+        [f"protocol '{fleet.estimation.protocol}' with '{unsized[0]}' of unknown size"] if means and unsized else []
+    )
+    if swept:
+        raise ConfigError(
+            f"fleet file: {swept[0]} needs a lens that sweeps, and the camera of {context.name} has a fixed focus; "
+            "take it out, or calibrate a camera whose focus can be set"
+        )
+
+
 class Equipment(Capability):
     """All capabilities of one robot as one."""
 
     def __init__(self, context: Context) -> None:
         """Those whose table stands in the fleet file. The last that says where the robot was, or lights, counts, for
-        targets and for the capabilities after it. Raises ConfigError for a mistake in [extend]."""
+        targets and for the capabilities after it. Raises ConfigError for a mistake in [extend], and for a table that
+        sweeps a lens that cannot be."""
         for key, remedy in broken_extend_rules(context.fleet):
             raise ConfigError(f"fleet file: key '{key}': {remedy}")
+        _refuse_sweeps(context)
         self.by_name: dict[str, Capability] = {}
         self._neighbours = frozenset(context.fleet.robot[context.name].neighbours)
         for kind in CAPABILITIES:

@@ -170,7 +170,8 @@ def _target_rules(fleet: Fleet, name: str) -> Iterator[tuple[str, str]]:
     """A target has what its detector needs, and nothing that belongs to the other one."""
     target, key = fleet.target[name], f"target.{name}"
     belongs = {"radius_m": "ball", "colour": "ball", "picture": "box", "box": "box", "models": "box"}
-    belongs["length_m"] = "creature"
+    if target.detector != "box":
+        belongs["length_m"] = "creature"
     if target.detector == "creature":
         del belongs["colour"]
     if target.detector != "box" and (target.picture is not None or target.box is not None):

@@ -10,11 +10,11 @@ import msgspec
 from msgspec import UNSET
 from msgspec.structs import replace
 
-from agent.core.attitude import AttitudeLog
+from agent.core.attitude import KEEP_NS, AttitudeLog
 from agent.core.capability import DAYLIGHT, MOORED, BodyAct, CameraAct, Context, LampAct, Situation
 from agent.core.config import Fleet
 from agent.core.messages import SCHEMA
-from agent.core.ranging.camera_model import Calibration
+from agent.core.ranging.camera_model import Calibration, sweep_waits_ns
 from agent.core.status import Status
 from agent.core.step_io import Inputs, Outputs, SetPoint
 from agent.core.step_transaction import Revertible, StepTransaction
@@ -35,7 +35,7 @@ class Agent(Revertible):
         """schema: of the messages that are taken in; an older one is for replay alone."""
         self._fleet, self._robot = fleet, fleet.robot[name]
         self.attitude, self.status, self.transaction = (
-            AttitudeLog(),
+            AttitudeLog(KEEP_NS + sweep_waits_ns(calibration.timing, fleet.camera.sweep_steps)),
             Status(fleet.fleet, name, incarnation),
             StepTransaction(),
         )

@@ -13,10 +13,29 @@ from agent.core.attitude import Attitude
 from agent.core.capability import CameraAct, CameraView, LightView, SearchView, Situation
 from agent.core.config import Fleet, Pose, Robot
 from agent.core.messages import Vector
-from agent.core.ranging.camera_model import Calibration, Eye, camera_pose, gimbal_deg, look_at, ray, servos_us, to_world
+from agent.core.ranging.camera_model import (
+    Calibration,
+    Eye,
+    camera_pose,
+    gimbal_deg,
+    look_at,
+    ray,
+    servos_us,
+    sweep_waits_ns,
+    to_world,
+)
 from agent.core.ranging.pointing import Pointing, Search, off_centre_px, reachable
 from agent.core.ranging.search_pattern import SearchPattern, SearchPlan
-from agent.core.ranging.sweep import ByLight, Measurement, Rejected, Sweep
+from agent.core.ranging.sweep import (
+    SLACK_NS,
+    ByLight,
+    Measurement,
+    Rejected,
+    Sweep,
+    SweepPhase,
+    outline_of,
+)
+from agent.core.ranging.sweep import next_phase as next_sweep_phase
 from agent.core.step_io import Sighting, SweepPlan, Telemetry
 from agent.core.step_transaction import Revertible
 
@@ -25,11 +44,64 @@ IN_VIEW_NS = 600_000_000  # two frames between sweeps
 LOST_NS = 1_200_000_000  # not found for this long, with the gimbal at rest
 
 
+class FixedFocus(Revertible):
+    """In place of a `Sweep` where the focus is fixed: the next frame, for the target's size in it has the range.
+
+    Nothing moves the lens, and there is no plan: it takes a frame of those between sweeps.
+    """
+
+    most_ns = SLACK_NS  # as of a sweep
+
+    def __init__(self) -> None:
+        self._number = 0
+        self.phase: SweepPhase = "ready"
+        self._from_ns = 0  # frames exposed later count
+        self._seen: Sighting | None = None  # the first of them
+
+    @property
+    def running(self) -> bool:
+        return self.phase == "running"
+
+    def ready(self, now_ns: int) -> bool:
+        return not self.running
+
+    def start(self, now_ns: int, by_light: ByLight | None = None) -> None:
+        self.phase = next_sweep_phase(self.phase, "start")
+        self._number, self._from_ns, self._seen = self._number + 1, now_ns, None
+
+    def frame(self, sighting: Sighting) -> None:
+        if self.running and self._seen is None and sighting.t_ns >= self._from_ns:
+            self._seen = sighting
+
+    def telemetry(self, telemetry: Telemetry) -> None:
+        """One frame needs no robot that stays still."""
+
+    def finish(self, now_ns: int) -> Measurement | Rejected | None:
+        seen = self._seen
+        if not self.running or (seen is None and now_ns < self._from_ns + SLACK_NS):
+            return None
+        self.phase = next_sweep_phase(self.phase, "end")
+        if seen is None or seen.centre_px is None:
+            return Rejected(self._number, "no frame in time" if seen is None else "target not seen in the frame")
+        return Measurement(self._number, seen.t_ns, None, 0.0, 0.0, None, outline_of(seen), seen.score)
+
+    def take_back(self) -> None:
+        """No measurement goes by another."""
+
+    def remark(self) -> str | None:
+        return None
+
+    def forget(self) -> None:
+        self.phase = next_sweep_phase(self.phase, "lose")
+
+
 class TargetMemory(Revertible):
     """What is remembered of one target, also while the camera looks at another."""
 
     def __init__(self, fleet: Fleet, calibration: Calibration) -> None:
-        self.sweep = Sweep(calibration.focus, fleet.camera.sweep_steps)
+        fit, steps = calibration.focus, fleet.camera.sweep_steps
+        waits_ns = sweep_waits_ns(calibration.timing, steps)
+        self.sweep = FixedFocus() if fit is None else Sweep(fit, steps, waits_ns)
         self.search = Search()
         self.seen: Sighting | None = None  # newest frame with the target in it, gimbal at rest where it is now
 
@@ -143,7 +215,8 @@ class TargetSearch(Revertible):
 
     def act(self, situation: Situation, wanted: ByLight | bool) -> SweepPlan | None:
         """Move the gimbal if it must move, for the watched target; else, if a measurement is wanted and possible, start
-        a sweep. A sweep that runs has to end before another target may be watched. wanted: by which light, or at all.
+        a sweep (of which there is no plan where the focus is fixed). A sweep that runs has to end before another target
+        may be watched. wanted: by which light, or at all.
         """
         now_ns, target = situation.now_ns, situation.watched
         memory, another = self._memory[target], target != self._target or self._phase == "away"
@@ -169,7 +242,7 @@ class TargetSearch(Revertible):
                 if not wanted or situation.level is None or not memory.sweep.ready(now_ns):
                     return None
                 plan = memory.sweep.start(now_ns, wanted if isinstance(wanted, ByLight) else None)
-                return replace(plan, target=target) if len(self._memory) > 1 else plan
+                return replace(plan, target=target) if plan is not None and len(self._memory) > 1 else plan
             self._turn_to_pixel(memory.seen.centre_px, situation)
         elif another:  # the camera was elsewhere: nothing to wait for, and the last peak still holds
             self._look_around(memory.search, situation)

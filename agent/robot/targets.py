@@ -31,7 +31,7 @@ from agent.core.estimation.protocols import iteration_ns
 from agent.core.messages import Estimate, Level, Mode, State
 from agent.core.ranging.camera_model import Eye
 from agent.core.ranging.fix import EXACT, Fix, NoRange, OwnPose, cue_ratio, locate, shows_whole
-from agent.core.ranging.sweep import Measurement, Rejected
+from agent.core.ranging.sweep import LateFrames, Measurement, Rejected
 from agent.core.status import Status, sweep_outcome
 from agent.core.step_io import Sighting, SweepOutcome
 from agent.core.step_transaction import Revertible, StepTransaction
@@ -40,6 +40,8 @@ from agent.core.topics import next_due_ns
 from agent.core.trust import common
 from agent.robot.target_search import TargetScheduler, TargetSearch
 
+FIXED_FOCUS = "the camera's focus is fixed: ranges are by the size of targets, nothing is swept"
+TIMING = "camera timing: by sweeps frames show the lens {:.0f} ms (+-{:.0f}) later than calibrated: run calibrate again"
 LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods
 
 
@@ -58,6 +60,7 @@ class Targets(Revertible):
         digest = common(fleet)
         self.all = {target: TargetState(fleet, name, target, context.incarnation, digest) for target in fleet.target}
         self._scheduler = TargetScheduler(tuple(fleet.target))
+        self._late = {target: LateFrames() for target in fleet.target}
         self._judged: Measurement | None = None  # a sweep whose light is not known to have stayed
         self._turned = False  # the turn changed in this step
         self.signed = False  # what others measured counts by their signatures
@@ -83,6 +86,8 @@ class Targets(Revertible):
     def begin(self, now_ns: int) -> None:
         """The first step."""
         self._iterated_ns = now_ns
+        if self._calibration.focus is None:
+            self._log.note("info", FIXED_FOCUS, now_ns)
 
     # --- measurements -----------------------------------------------------------------------------------------
 
@@ -101,6 +106,7 @@ class Targets(Revertible):
         known = self._source.at_sample(result.t_ns, now_ns)
         fix = self._fix(result, known)
         self._compare(result, isinstance(fix, NoRange) and fix.contradicts, now_ns)
+        self._time(result)
         if isinstance(fix, NoRange):
             self._note("warning", f"sweep rejected: {fix.reason}", now_ns)
         else:
@@ -135,7 +141,8 @@ class Targets(Revertible):
         pose, own = (self._moored, None) if known is None else (known.pose, known.own)
         fix = self._located(peak, self._target_search.eye(level, pose), own)
         if isinstance(fix, Fix) and not inside(fix.position_m, self._fleet.tank.size_m):
-            return NoRange(f"peak at {peak.lens_position:.0f} is outside the tank")
+            where = "it" if peak.lens_position is None else f"peak at {peak.lens_position:.0f}"
+            return NoRange(f"{where} is outside the tank")
         return fix
 
     def _located(self, peak: Measurement, eye: Eye, own: OwnPose | None) -> Fix | NoRange:
@@ -153,6 +160,12 @@ class Targets(Revertible):
         outline, sigma, _ = self._light.corrected(peak, eye, self.current.ball, "both")
         ratio = cue_ratio(self._calibration, outline, peak.lens_position, sigma, self.current.ball, eye.tilt_rad)
         self.current.consistency.sweep(ratio, refused, now_ns)
+
+    def _time(self, peak: Measurement) -> None:
+        """Take note of what the sweep says of the camera's timing, where nothing moves."""
+        focus, target = self._calibration.focus, self.current
+        if focus is not None and not self._source.moves and target.ball.speed_m_s is None:
+            self._late[target.name].add(peak, focus.noise)
 
     def look(self, sightings: Iterable[Sighting], pose: Pose, own: OwnView | None) -> None:
         """Take note of frames that should show a target, with camera and lens at rest; see TargetState.looked."""
@@ -186,9 +199,11 @@ class Targets(Revertible):
         return self._light.judging or self._source.settling
 
     def faults(self, now_ns: int) -> tuple[str, ...]:
-        """Targets whose belief cannot be trusted, and why."""
+        """Targets whose belief cannot be trusted, and why; and a camera whose timing is not that of its calibration."""
         told = ((name, *each.consistency.verdict(now_ns)) for name, each in self.all.items())
-        return tuple(f"{word}: {name}: {causes[0]}" for name, word, causes in told if causes)
+        doubts = tuple(f"{word}: {name}: {causes[0]}" for name, word, causes in told if causes)
+        late = next((late for each in self._late.values() if (late := each.late_s()) is not None), None)
+        return doubts if late is None else (*doubts, TIMING.format(1e3 * late[0], 1e3 * late[1]))
 
     # --- iterations -------------------------------------------------------------------------------------------
 
@@ -239,7 +254,7 @@ class Targets(Revertible):
         calm = own is None or (own.calm and self.watched != own.pursues)
         wanted = self.current.prior is None and not self._settling and calm and situation.orders.sweeps
         plan = self._target_search.act(situation, wanted and self._light.consent(None, situation))
-        if plan is not None:
+        if plan is not None:  # of a camera of fixed focus there is none, nor are there lamps
             self._light.began(situation)
         if self._turned:  # the first iteration of a turn begins when the camera has arrived
             self._iterated_ns = max(situation.now_ns, self._target_search.pointing.steady_from_ns)

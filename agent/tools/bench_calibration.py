@@ -26,21 +26,27 @@ from agent.clock import machine
 from agent.clock.clock import SystemClock
 from agent.core.config import ConfigError, Fleet, dump, write_whole
 from agent.core.messages import Vector
-from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, gimbal_deg, ray, servos_us
-from agent.core.ranging.focus import Peak, TiltedPeak, fit_peak, lens_position, phase_sigma, with_sag
+from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, TimingFit, gimbal_deg, ray, servos_us
+from agent.core.ranging.focus import Array, Peak, TiltedPeak, fit_peak, lens_position, phase_sigma, with_sag
 from agent.core.step_io import SetPoint
 from agent.perception.depth_peaks import gradient_energy, luminance
+from agent.perception.vision import TimedCamera, movable
 from agent.process.command import Progress, Show, temporary_folder, with_bar, with_spinner
 from agent.process.launch import crew, wait_for
 from agent.robot.fleet_reader import load_fleet, load_robot
 from agent.tools.camera_calibration import Corner, fit_camera
+<<<<<<< HEAD
 from agent.tools.focus_calibration import FocusRow, fit_focus
 from hw.camera import open_camera
+=======
+from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus
+>>>>>>> camtime
 from hw.camera.camera import Camera, FocusRange, Roi
 from hw.stm32.driver import Stm32, open_port_path
 from hw.twin.calibration_bench import BenchClient
 from hw.twin.twin_folder import twin_dir
 
+Wait = Callable[[float], int]  # lets so many seconds pass; returns the time then, ns, by the clock of frames' stamps
 Place = Callable[[Vector | None, tuple[int, int]], None]  # board's centre about the pivot (m), pulses of pan and tilt
 
 NEAREST_M, FARTHEST_M, DISTANCES = 0.22, 1.2, 16  # equal steps of 1/u, as the lens sees them
@@ -59,27 +65,38 @@ BLURS = (-1.5, 0.0, 1.5)  # peak half-widths by which the lens is set off, looki
 BACKLASH_US = 25  # the approach: two degrees, more than any gear has play
 
 
-def calibrate(fleet: Fleet, robot: str, camera: Camera, place: Place, progress: Progress) -> Calibration:
+def calibrate(
+    fleet: Fleet, robot: str, camera: Camera, place: Place, progress: Progress, wait: Wait | None = None
+) -> Calibration:
     """Run the whole procedure; progress counts settings of the board, from 0 to SETTINGS.
 
-    Raises CalibrationRefused, ConfigError for a camera without focus, CameraError.
+    Of a camera of fixed focus the sweeps are left out. wait: None where frames have no time of their own, and timing is
+    not measured. Raises CalibrationRefused, CameraError.
     """
     progress(0, SETTINGS)
-    focus = fit_focus(focus_rows(fleet, camera, place, lambda done, _: progress(done, SETTINGS)))
+    limits, focus, timing = movable(camera), None, TimingFit()
+    if limits is not None and wait is not None:
+        timing = measure_timing(fleet, camera, limits, place, wait)
+    camera = TimedCamera(camera, timing, (lambda: 0) if wait is None else (lambda: wait(0.0)))
+    if limits is not None:
+        focus = fit_focus(focus_rows(fleet, camera, limits, place, lambda done, _: progress(done, SETTINGS)))
     corners: list[Corner] = []
     for done, view in enumerate(views(fleet, camera, focus, place), start=DISTANCES):
         corners += view
         progress(done + 1, SETTINGS)
     seen = fit_camera(corners, fleet.body, camera.size)
-    tilted = tilted_peaks(fleet, camera, seen, place, lambda done, _: progress(LOOKS + done, SETTINGS))
+    if focus is not None and limits is not None:
+        tilted = tilted_peaks(fleet, camera, limits, seen, place, lambda done, _: progress(LOOKS + done, SETTINGS))
+        focus = with_sag(focus, tilted)
     centre_us = round(fleet.body.servo_centre_us)
     place(None, (centre_us, centre_us))
     return Calibration(
         robot=robot,
         made=datetime.now(UTC).strftime("%Y-%m-%d"),
         source=f"board of {COLUMNS + 1} x {ROWS + 1} squares before {fleet.robot[robot].camera}",
-        focus=with_sag(focus, tilted),
+        focus=focus,
         camera=seen,
+        timing=timing,
     )
 
 
@@ -92,11 +109,10 @@ def setting(done: int) -> str:
     return f"view up or down {done - LOOKS + 1} of {SETTINGS - LOOKS}" if done < SETTINGS else "done"
 
 
-def focus_rows(fleet: Fleet, camera: Camera, place: Place, progress: Progress) -> list[FocusRow]:
+def focus_rows(
+    fleet: Fleet, camera: TimedCamera, limits: FocusRange, place: Place, progress: Progress
+) -> list[FocusRow]:
     """The sharpest lens position at each distance; a distance without a clear peak is left out."""
-    limits = camera.focus_range()
-    if limits is None:
-        raise ConfigError("the camera's focus cannot be set; a calibration needs one that can")
     rows: list[FocusRow] = []
     centre_us = round(fleet.body.servo_centre_us)
     for done, u_m in enumerate(1.0 / np.linspace(1.0 / FARTHEST_M, 1.0 / NEAREST_M, DISTANCES), start=1):
@@ -108,14 +124,13 @@ def focus_rows(fleet: Fleet, camera: Camera, place: Place, progress: Progress) -
     return rows
 
 
-def tilted_peaks(fleet: Fleet, camera: Camera, seen: CameraFit, place: Place, progress: Progress) -> list[TiltedPeak]:
+def tilted_peaks(
+    fleet: Fleet, camera: TimedCamera, limits: FocusRange, seen: CameraFit, place: Place, progress: Progress
+) -> list[TiltedPeak]:
     """Peaks of the board looking up and down at it: what the lens's own weight does. `seen`: the gimbal's zero, and how
     far the optical axis is from the picture's middle, where a sweep reads: seen at 20 degrees, the board is nearer or
     farther there by 0.03 % for each pixel. Six of them are a third of a lens's sag."""
-    limits = camera.focus_range()
     peaks: list[TiltedPeak] = []
-    if limits is None:
-        return peaks
     body, level_us = fleet.body, servos_us(seen, fleet.body, 0.0, 0.0)
     _, y, z = ray(seen, ((seen.width_px - 1) / 2, (seen.height_px - 1) / 2))
     for done, (ahead_m, tilt_deg) in enumerate(itertools.product(SAG_AT_M, SAG_TILTS_DEG), start=1):
@@ -130,21 +145,21 @@ def tilted_peaks(fleet: Fleet, camera: Camera, seen: CameraFit, place: Place, pr
     return peaks
 
 
-def board_peak(camera: Camera, limits: FocusRange, steps: int, settle_s: float) -> Peak | None:
+def board_peak(camera: TimedCamera, limits: FocusRange, steps: int, settle_s: float) -> Peak | None:
     """Sweep once over the whole range of the lens; where the grain of the board is sharpest, if anywhere.
 
     Grain, not edges: a board square to the camera has all its edges at one phase of the pixel grid, and the image
     grows by percents as the lens moves, so edges gain and lose gradient during the sweep. On the twin that scatters
     peaks by 2.6 lens positions, 5 mm at half a metre; the grain alone repeats to 0.5.
     """
-    width, height = camera.size
-    across, down = SWEEP_PX
-    middle = Roi((width - across) // 2, (height - down) // 2, across, down)
+    middle = middle_of(camera.size)
     home(camera, limits, middle)
     lens_positions, pictures = [], []
     for wanted in np.linspace(limits.lowest, limits.highest, steps):
-        lens_positions.append(camera.set_focus(round(wanted)))
-        pictures.append(luminance(camera.read(middle, settle_s=settle_s).image))
+        reported = camera.set_focus(round(wanted))
+        frame = camera.read(middle, settle_s=settle_s)
+        lens_positions.append(camera.lens_position(frame.t_ns) or reported)
+        pictures.append(luminance(frame.image))
     window = np.outer(*map(np.hanning, pictures[0].shape))  # what grows over the border leaves no step
     energies = [gradient_energy(picture) for picture in pictures]
     clarity = [float((energy * window).sum()) for energy in energies]
@@ -163,6 +178,12 @@ def board_peak(camera: Camera, limits: FocusRange, steps: int, settle_s: float) 
     return fine._replace(sigma=math.hypot(fine.sigma, phase_sigma(fine.width, area_px)))
 
 
+def middle_of(size: tuple[int, int]) -> Roi:
+    """The part of a picture that a sweep reads."""
+    (width, height), (across, down) = size, SWEEP_PX
+    return Roi((width - across) // 2, (height - down) // 2, across, down)
+
+
 def edges(grey: NDArray[np.uint8]) -> NDArray[np.bool_]:
     """The edges between squares and a few pixels around them, in a sharp picture of the board."""
     gx, gy = cv2.spatialGradient(cv2.GaussianBlur(grey, (0, 0), 2.0))
@@ -171,8 +192,9 @@ def edges(grey: NDArray[np.uint8]) -> NDArray[np.bool_]:
     return cv2.dilate(steep, np.ones((2 * EDGE_RIM_PX + 1,) * 2, np.uint8)) > 0
 
 
-def views(fleet: Fleet, camera: Camera, focus: FocusFit, place: Place) -> Iterator[list[Corner]]:
-    """The corners of each view of the board, sharp; an empty list where the board is not seen whole."""
+def views(fleet: Fleet, camera: TimedCamera, focus: FocusFit | None, place: Place) -> Iterator[list[Corner]]:
+    """The corners of each view of the board, as sharp as the lens can make it (focus: None, it is fixed); an empty list
+    where the board is not seen whole."""
     body = fleet.body
     for ahead_m in BOARD_AT_M:
         for pan_deg, tilt_deg in VIEWS_DEG:
@@ -183,13 +205,21 @@ def views(fleet: Fleet, camera: Camera, focus: FocusFit, place: Place) -> Iterat
                 round(body.servo_centre_us + body.servo_us_per_deg * tilt_deg),
             )
             approach(place, board_m, us)
-            sharp, found = lens_position(focus, math.hypot(*board_m)), []
-            for blur in BLURS if pan_deg == tilt_deg == 0.0 else (0.0,):
-                reached = camera.set_focus(round(sharp + blur * focus.width))
-                grey = luminance(camera.read(settle_s=HOMING_S).image)
+            found: list[Corner] = []
+            for wanted in lens_of_view(focus, math.hypot(*board_m), straight=pan_deg == tilt_deg == 0.0):
+                reached = 0 if wanted is None else camera.set_focus(wanted)
+                grey = luminance(camera.read(settle_s=max(HOMING_S, camera.homing_s)).image)
                 pairs = zip(board_points(board_m), find_corners(grey), strict=False)
                 found += [Corner(us, point, px, float(reached), k) for k, (point, px) in enumerate(pairs)]
             yield found
+
+
+def lens_of_view(focus: FocusFit | None, away_m: float, straight: bool) -> list[int | None]:
+    """The lens positions at which a view is looked at."""
+    if focus is None:
+        return [None]
+    sharp = lens_position(focus, away_m)
+    return [round(sharp + blur * focus.width) for blur in (BLURS if straight else (0.0,))]
 
 
 def approach(place: Place, board_m: Vector, us: tuple[int, int]) -> None:
@@ -198,10 +228,10 @@ def approach(place: Place, board_m: Vector, us: tuple[int, int]) -> None:
     place(board_m, us)
 
 
-def home(camera: Camera, limits: FocusRange, roi: Roi) -> None:
+def home(camera: TimedCamera, limits: FocusRange, roi: Roi) -> None:
     """Bring the lens to rest at its smallest position."""
     camera.set_focus(limits.lowest)
-    camera.read(roi, settle_s=HOMING_S)
+    camera.read(roi, settle_s=max(HOMING_S, camera.homing_s))
 
 
 def find_corners(grey: NDArray[np.uint8]) -> list[tuple[float, float]]:
@@ -228,6 +258,105 @@ def board_points(board_m: Vector) -> list[Vector]:
     ]
 
 
+# --- timing ---
+# When frames were exposed, and how the lens moves: it is told to step up a flank of the clarity's peak, again and
+# again, at other moments between two frames, and what the frames show then tells where the lens was.
+#
+# A time without any motion and an exponential way after it are told apart by the shape of the response. The first is
+# taken for lateness of the stamps: what a driver takes to pass a command on is in it, a few milliseconds.
+
+TIMED_AT_M = 0.40
+RESTS_S = 1.0  # until frames show any lens at rest: 0.2 s late, and eight lags of 0.1 s
+FLANK = (-1.2, -0.2)  # half widths from the peak, where a step begins and ends; clarity rises from one to the other
+FLANK_STEPS, TIMED_STEPS, TIMED_FRAMES = 9, 8, 16
+FRAME_S = 1 / 30  # of most cameras; steps begin at each eighth of it
+LATES_S, LOG_LAGS = (
+    np.linspace(-0.02, 0.25, 109),
+    np.log(np.geomspace(0.001, 0.3, 60)),
+)  # among which both are looked for
+LEAST_MISS, MOST_MISS = 0.02, 0.15  # rms of the fit, of a step's change of clarity
+TIME_FLOOR_S = 0.001  # an exposure is no moment, and no lens moves quite so
+
+
+def measure_timing(fleet: Fleet, camera: Camera, limits: FocusRange, place: Place, wait: Wait) -> TimingFit:
+    """Lateness of the stamps and lag of the lens, before the board. Raises CalibrationRefused where it does not show a
+    peak."""
+    centre_us = round(fleet.body.servo_centre_us)
+    approach(place, (TIMED_AT_M, 0.0, 0.0), (centre_us, centre_us))
+    middle = middle_of(camera.size)
+
+    def clarity(settle_s: float) -> tuple[int, float]:
+        frame = camera.read(middle, settle_s=settle_s)
+        return frame.t_ns, float(gradient_energy(luminance(frame.image)).sum())
+
+    def at_rest(first: float, last: float, count: int) -> tuple[Array, Array]:
+        camera.set_focus(limits.lowest)
+        clarity(RESTS_S)
+        found = [(camera.set_focus(round(at)), clarity(RESTS_S)[1]) for at in np.linspace(first, last, count)]
+        return np.array([at for at, _ in found]), np.array([value for _, value in found])
+
+    swept, seen_at = at_rest(limits.lowest, limits.highest, fleet.camera.sweep_steps // 2)
+    rough = fit_peak(swept.tolist(), seen_at.tolist())
+    if not isinstance(rough, Peak):
+        raise CalibrationRefused(
+            f"the lens's timing: {rough.reason}; put the board at {TIMED_AT_M:.2f} m, and light it"
+        )
+    first, last = (max(rough.lens_position + k * rough.width, limits.lowest) for k in FLANK)
+    positions, curve = at_rest(first, last, FLANK_STEPS)
+    since_s, seen = [], []
+    for k in range(TIMED_STEPS):
+        camera.set_focus(limits.lowest)
+        clarity(RESTS_S)
+        camera.set_focus(int(positions[0]))
+        before = clarity(RESTS_S)
+        told_ns = wait(k * FRAME_S / TIMED_STEPS)
+        camera.set_focus(int(positions[-1]))
+        for t_ns, value in (before, *(clarity(0.0) for _ in range(TIMED_FRAMES))):
+            since_s.append(1e-9 * (t_ns - told_ns))
+            seen.append(value)
+    return fit_timing(positions, curve, np.array(since_s), np.array(seen))
+
+
+def fit_timing(positions: Array, curve: Array, since_s: Array, seen: Array) -> TimingFit:
+    """`curve` (n,): clarity at rest at positions (n,), rising; `seen` (m,): of frames that are stamped since_s (m,)
+    after the lens was told to go from the first position to the last. Raises CalibrationRefused where they do not fit.
+
+    Mean and deviation over all pairs of lateness and lag, each as likely as the frames are with it: a swift lens in
+    frames that are not late shows no more than that both are small.
+    """
+    height, way = float(np.ptp(curve)), positions[-1] - positions[0]
+    lates, lags = LATES_S, LOG_LAGS
+    for _ in range(2):  # roughly, then where it is
+        gone = 1.0 - np.exp(-np.maximum(since_s - lates[:, None, None], 0.0) / np.exp(lags)[:, None])
+        misses = (np.interp(positions[0] + gone * way, positions, curve) - seen) / height
+        cost = np.square(misses).sum(axis=2)  # (lates, lags)
+        rms = math.sqrt(float(cost.min()) / max(len(seen) - 2, 1))
+        likely = np.exp(-0.5 * (cost - cost.min()) / max(rms, LEAST_MISS) ** 2)
+        (late, late_sigma), (lag, lag_sigma) = (
+            _moments(axis, likely.sum(axis=1 - k)) for k, axis in enumerate((lates, lags))
+        )
+        lates, lags = (
+            at + np.linspace(-4.0, 4.0, 81) * max(sigma, 0.5 * float(axis[1] - axis[0]))
+            for at, sigma, axis in ((late, late_sigma, lates), (lag, lag_sigma, lags))
+        )
+    if rms > MOST_MISS:
+        raise CalibrationRefused(
+            f"the lens's timing: pictures are off by {100 * rms:.0f} % of a step's clarity; keep board and light still"
+        )
+    lag_s = math.exp(lag)
+    return TimingFit(
+        stamp_late_s=late,
+        stamp_late_sigma_s=math.hypot(late_sigma, TIME_FLOOR_S),
+        lens_lag_s=lag_s,
+        lens_lag_sigma_s=math.hypot(lag_s * lag_sigma, TIME_FLOOR_S),
+    )
+
+
+def _moments(values: Array, weights: Array) -> tuple[float, float]:
+    mean = float((weights * values).sum() / weights.sum())
+    return mean, math.sqrt(float((weights * (values - mean) ** 2).sum() / weights.sum()))
+
+
 # --- the bench ---
 # Where a camera is calibrated: the twin's own bench, or a board that a person moves when told to.
 #
@@ -239,7 +368,7 @@ SERVO_S = 1.5  # the servos' longest way
 
 
 @contextmanager
-def twin_bench(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place]]:
+def twin_bench(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place, Wait]]:
     """The twin's bench in a process and a folder of its own, so that a dive may go on beside it.
 
     Raises Failed where it does not get ready, CameraError.
@@ -253,11 +382,12 @@ def twin_bench(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place]]:
             wait_for("the bench", (folder / "ready").exists, processes, READY_S)
             camera = open_camera(fleet.robot[name].camera, folder, size(fleet))
             stack.callback(camera.close)
-            yield camera, stack.enter_context(BenchClient(folder / f"{name}.bench")).place
+            bench = stack.enter_context(BenchClient(folder / f"{name}.bench"))
+            yield camera, bench.place, bench.wait
 
 
 @contextmanager
-def bench_by_hand(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place]]:
+def bench_by_hand(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place, Wait]]:
     """A real camera: asks for the board on the terminal. Raises CameraError, ConfigError for a port."""
     robot = fleet.robot[name]
     with ExitStack() as stack:
@@ -266,7 +396,7 @@ def bench_by_hand(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place]]:
         clock = SystemClock()
         module = stack.enter_context(Stm32(open_port_path(robot.serial, twin_dir(fleet)), clock))
         asked: Vector | None = None
-        done = 0
+        done = 0 if movable(camera) else DISTANCES
 
         def place(board_m: Vector | None, servos_us: tuple[int, int]) -> None:
             nonlocal asked, done
@@ -279,7 +409,11 @@ def bench_by_hand(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place]]:
             asked = board_m
             machine.sleep(SERVO_S)
 
-        yield camera, place
+        def wait(seconds: float) -> int:
+            machine.sleep(seconds)
+            return machine.monotonic_ns()
+
+        yield camera, place, wait
 
 
 def size(fleet: Fleet) -> tuple[int, int]:
@@ -307,8 +441,8 @@ def run(fleet_path: Path, name: str, out: Path | None, console: Console) -> None
     if robot.camera.startswith("twin:"):
         calibration = _on_the_twin(fleet, name, console)
     else:
-        with bench_by_hand(fleet, name) as (camera, place):  # its questions say how far it is
-            calibration = calibrate(fleet, name, camera, place, lambda done, total: None)
+        with bench_by_hand(fleet, name) as (camera, place, wait):  # its questions say how far it is
+            calibration = calibrate(fleet, name, camera, place, lambda done, total: None, wait)
     write_whole(file, dump(calibration))
     console.print(describe(calibration))
     console.print(f"written to {file}")
@@ -317,25 +451,34 @@ def run(fleet_path: Path, name: str, out: Path | None, console: Console) -> None
 def _on_the_twin(fleet: Fleet, name: str, console: Console) -> Calibration:
     with ExitStack() as stack:
         with with_spinner(console, f"calibrating {name}: starting the twin's bench"):
-            camera, place = stack.enter_context(twin_bench(fleet, name))
+            camera, place, wait = stack.enter_context(twin_bench(fleet, name))
 
         def work(show: Show) -> Calibration:
             def told(done: int, total: int) -> None:
                 show(done, total, f"calibrating {name}: {setting(done)}")
 
-            return calibrate(fleet, name, camera, place, told)
+            return calibrate(fleet, name, camera, place, told, wait)
 
         return with_bar(console, f"calibrating {name}", work)
 
 
 def describe(calibration: Calibration) -> str:
-    """What the fit is worth, in two lines."""
+    """What the fit is worth, in three lines."""
     focus, camera = calibration.focus, calibration.camera
+    seen = (
+        f"camera: f {camera.f_px:.1f} px, pan zero {camera.pan_zero_deg:+.2f}° gain {camera.pan_gain:.4f}, "
+        f"tilt zero {camera.tilt_zero_deg:+.2f}° gain {camera.tilt_gain:.4f}, residual {camera.noise_px:.2f} px"
+    )
+    if focus is None:
+        return f"focus: fixed, ranges will be by the size of targets\n{seen}"
+    timing = calibration.timing
+    seen += (
+        f"\ntiming: stamps {1e3 * timing.stamp_late_s:.0f} ± {1e3 * timing.stamp_late_sigma_s:.0f} ms late, "
+        f"lens lags {1e3 * timing.lens_lag_s:.0f} ± {1e3 * timing.lens_lag_sigma_s:.0f} ms"
+    )
     nearer = "larger" if focus.b_m > 0.0 else "smaller"  # u = u_inf + b / (rho - rho0): 0 for infinity is custom only
     return (
         f"focus: R² {focus.r2:.4f}, rms {1e3 * focus.rmse_m:.1f} mm, held out {1e3 * focus.held_out_rmse_m:.1f} mm, "
         f"one peak ± {focus.noise:.2f} lens positions, "
-        f"{nearer} ones are nearer\n"
-        f"camera: f {camera.f_px:.1f} px, pan zero {camera.pan_zero_deg:+.2f}° gain {camera.pan_gain:.4f}, "
-        f"tilt zero {camera.tilt_zero_deg:+.2f}° gain {camera.tilt_gain:.4f}, residual {camera.noise_px:.2f} px"
+        f"{nearer} ones are nearer\n{seen}"
     )

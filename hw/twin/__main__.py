@@ -107,7 +107,8 @@ def _dive(fleet: Fleet, fleet_path: Path, folder: Path, stop: threading.Event, s
         seen = (dive.history, lens, vcm, painter, at_m, dive.stage)
         witness = partial(dive.lookout.frame, name) if dive.lookout is not None else None
         swims = (scene.creature, fleet.twin.seed, witness, lamp_place(fleet, scene))
-        camera = DiveCamera(i, *seen, shutter, keeper.now_ns, rendering, scene.motion_blur, *swims)
+        late_ns = round(fleet.twin.stamp_late_ms * 1e6)
+        camera = DiveCamera(i, *seen, shutter, keeper.now_ns, rendering, scene.motion_blur, *swims, late_ns=late_ns)
         servers.append(FrameServer(folder / f"{name}.camera", camera))
     devices: list[Board | FrameServer] = [*dive.boards, *servers]
     stack.callback(_close_together, devices)
@@ -141,7 +142,7 @@ def _optics(fleet: Fleet, scene: Scene, robot: str, tags: Sequence[PaintedTag] =
     lens = draw_lens(scene.camera, generator(seed, robot, "lens"))
     painter = Painter(scene, fleet.tank, fleet.water.refractive_index, lens, seed, robot, tags)
     painter.prepare()
-    return lens, Vcm(lens, generator(seed, robot, "vcm")), painter
+    return lens, Vcm(lens, generator(seed, robot, "vcm"), 1e-3 * fleet.twin.lens_slow_ms), painter
 
 
 def _close_together(devices: list[Board | FrameServer]) -> None:

@@ -36,6 +36,7 @@ CHESSBOARD_SIZE_M = (0.30, 0.20)
 # Chessboard axes (right, up, towards the viewer) as columns in the body frame (forward, left, up) that it faces.
 BODY_CHESSBOARD = np.array([[0.0, 0.0, -1.0], [-1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
+MOST_WAIT_S = 60.0  # at once
 SETTLED_S = 1.2  # the longest way, 180 deg at full slew, and fifteen lags
 
 
@@ -58,6 +59,7 @@ class Bench:
         self._chessboard: Chessboard | None = None
         self._clock = FrameClock(start_ns)
         self._now_ns = self._focused_ns = start_ns
+        self._late_ns = round(fleet.twin.stamp_late_ms * 1e6)
         self._lock = threading.Lock()
 
     def place(self, board_m: tuple[float, float, float] | None, servo_us: tuple[float, float]) -> None:
@@ -76,6 +78,14 @@ class Bench:
             for k in range(2):
                 self._turn(k, (round(servo_us[k]) - self._mounting.servo_centre_us) / self._mounting.servo_us_per_deg)
             self._now_ns += round(SETTLED_S * 1e9)
+
+    def wait(self, seconds: float) -> int:
+        """Let so many seconds pass; returns the bench's time, ns. Raises ValueError for none that can be waited."""
+        if not 0 <= seconds <= MOST_WAIT_S:
+            raise ValueError(f"wait_s {seconds} is not between 0 and {MOST_WAIT_S:g}")
+        with self._lock:
+            self._now_ns += round(seconds * 1e9)
+            return self._now_ns
 
     def stand(self, body_m: tuple[float, float, float], rotation: NDArray[np.float64]) -> None:
         """Take the robot off its clamp: centre and turn (body to world) of its body. The chessboard stays there."""
@@ -97,28 +107,30 @@ class Bench:
 
     def read(self, roi: Roi | None, settle_s: float) -> Frame:
         with self._lock:
-            seq = self._clock.next(max(self._now_ns, self._focused_ns + round(settle_s * 1e9)))
-            self._now_ns = self._clock.opens_ns(seq) + EXPOSURE_NS
-            middle_ns = self._now_ns - EXPOSURE_NS // 2
+            stamped_ns = max(self._now_ns, self._focused_ns + round(settle_s * 1e9))
+            seq = self._clock.next(stamped_ns - self._late_ns)
+            middle_ns = self._clock.opens_ns(seq) + EXPOSURE_NS // 2
+            self._now_ns = middle_ns + max(EXPOSURE_NS // 2, self._late_ns)
             pose = RobotPose(self._body_m, self._rotation, self._shaft_deg[0], self._shaft_deg[1])
             eye, elevation_rad = look(pose, self._mounting.camera_m)
             distance_m = self._vcm.image_distance_m(middle_ns, elevation_rad)
             image = self._painter.frame(eye, distance_m, chessboard=self._chessboard, roi=roi, tick=seq)
-            return Frame(middle_ns, seq, image, roi or Roi(0, 0, *self.size))
+            return Frame(middle_ns + self._late_ns, seq, image, roi or Roi(0, 0, *self.size))
 
 
 # --- socket: JSON, one object a line ---
 #
-# {"board_m": [x, y, z] or null, "servo_us": [pan, tilt]} is answered by {"ok": true} or {"error": "..."}; Bench.place
-# says what they mean.
+# {"board_m": [x, y, z] or null, "servo_us": [pan, tilt]} and {"wait_s": seconds} are answered by {"now_ns": time of the
+# bench} or {"error": "..."}; Bench.place and Bench.wait say what they mean.
 
 MAX_LINE = 1024  # bytes of a request
 POLL_S = 0.2
 
 
 class Request(msgspec.Struct, forbid_unknown_fields=True):
-    board_m: tuple[float, float, float] | None
-    servo_us: tuple[float, float]
+    board_m: tuple[float, float, float] | None = None
+    servo_us: tuple[float, float] | None = None  # None: board and servos stay
+    wait_s: float = 0.0
 
 
 def serve(bench: Bench, path: Path, stop: threading.Event, ready: Callable[[], None]) -> None:
@@ -160,10 +172,11 @@ def _converse(bench: Bench, connection: socket.socket, stop: threading.Event) ->
 def _answer(bench: Bench, line: bytes) -> dict[str, Any]:
     try:
         request = msgspec.json.decode(line, type=Request)
-        bench.place(request.board_m, request.servo_us)
+        if request.servo_us is not None:
+            bench.place(request.board_m, request.servo_us)
+        return {"now_ns": bench.wait(request.wait_s)}
     except (msgspec.DecodeError, ValueError) as error:
         return {"error": str(error)}
-    return {"ok": True}
 
 
 class BenchClient:
@@ -192,13 +205,20 @@ class BenchClient:
     def place(self, board_m: tuple[float, float, float] | None, servo_us: tuple[float, float]) -> None:
         """Returns when everything is at rest. Raises ValueError if refused, ConnectionError if the bench is gone."""
         board = None if board_m is None else [float(v) for v in board_m]
-        request = {"board_m": board, "servo_us": [float(v) for v in servo_us]}
+        self._ask({"board_m": board, "servo_us": [float(v) for v in servo_us]})
+
+    def wait(self, seconds: float) -> int:
+        """Let so much of the bench's time pass; returns it, ns. Raises as `place`."""
+        return int(self._ask({"wait_s": seconds})["now_ns"])
+
+    def _ask(self, request: dict[str, Any]) -> dict[str, Any]:
         try:
-            answer = json.loads(self._exchange(json.dumps(request).encode() + b"\n"))
+            answer: dict[str, Any] = json.loads(self._exchange(json.dumps(request).encode() + b"\n"))
         except (OSError, json.JSONDecodeError):
             raise ConnectionError(f"{self._path}: the bench has ended; start it again") from None
         if "error" in answer:
             raise ValueError(answer["error"])
+        return answer
 
     def _exchange(self, line: bytes) -> bytes:
         """Send a line; returns the line that answers it, short if the bench hangs up."""

@@ -90,11 +90,13 @@ class DiveCamera:
         seed: int = 0,
         witness: Witness | None = None,
         lamp_m: Vector | None = None,
+        late_ns: int = 0,
     ) -> None:
         """`now_ns`: the dive's clock. `rendering(delivered_ns, latest_ns)` is around the making of a frame: it ends
         when it is delivered_ns, and it may keep time from going beyond latest_ns before that. `creatures` as the
         history has them; `witness` gets what each frame shows of them. lamp_m: where on each robot's body its lamp
-        is; None: there are none, or the water is such that they do not show."""
+        is; None: there are none, or the water is such that they do not show. late_ns: by which frames are stamped
+        after the middle of their exposure, for which it is delivered no sooner."""
         self.size = (lens.width, lens.height)
         self.focus_range = FocusRange(lens.lowest, lens.highest, 1)
         self._me, self._history, self._camera_m, self._lamp_m = me, history, camera_m, lamp_m
@@ -102,16 +104,17 @@ class DiveCamera:
         self._now_ns, self._rendering = now_ns, rendering
         self._stage, self._blurs = stage, blurs
         self._creatures, self._seed, self._witness = tuple(creatures), seed, witness
-        self._focused_ns = 0
+        self._focused_ns, self._late_ns = 0, late_ns
 
     def set_focus(self, lens_position: int) -> int:
         self._focused_ns = self._now_ns()
         return int(self._vcm.command(lens_position, self._focused_ns))
 
     def read(self, roi: Roi | None, settle_s: float) -> Frame:
-        seq = self._clock.next(max(self._now_ns(), self._focused_ns + round(settle_s * 1e9)))
+        stamped_ns = max(self._now_ns(), self._focused_ns + round(settle_s * 1e9))
+        seq = self._clock.next(stamped_ns - self._late_ns)
         opens_ns = self._clock.opens_ns(seq)
-        delivered_ns = opens_ns + DELIVERY_NS
+        delivered_ns = opens_ns + max(DELIVERY_NS, EXPOSURE_NS + self._late_ns)
         with self._rendering(delivered_ns, delivered_ns + LATER_NS):
             exposure, open_ns = None, EXPOSURE_NS
             if self._lamp_m is not None:  # as long as the light asks for when the shutter opens
@@ -140,7 +143,7 @@ class DiveCamera:
         image = self._painter.expose(middle, distance_m, roi, seq, during if self._blurs else None, *metered)
         if self._witness is not None and middle.creatures:
             self._witness(middle_ns, seq, self._painter.outlines(middle, distance_m))
-        return Frame(middle_ns, seq, image, roi or Roi(0, 0, *self.size))
+        return Frame(middle_ns + self._late_ns, seq, image, roi or Roi(0, 0, *self.size))
 
     def _moment(self, t_ns: int) -> tuple[Moment, float]:
         """What there is to see at t_ns, and how far the camera looks up (rad)."""

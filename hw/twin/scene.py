@@ -331,9 +331,10 @@ def load_scene(name: str) -> Scene:
 
 
 def scene_of(fleet: Fleet) -> Scene:
-    """The scene that the fleet file names, filled with the water that it names."""
+    """The scene that the fleet file names, filled with the water and seen by the cameras that it names."""
     scene = load_scene(fleet.twin.scene)
-    return msgspec.structs.replace(scene, water=msgspec.structs.replace(scene.water, preset=fleet.water.kind))
+    water = msgspec.structs.replace(scene.water, preset=fleet.water.kind)
+    return msgspec.structs.replace(scene, water=water, camera=fleet.twin.camera or scene.camera)
 
 
 def in_daylight(scene: Scene) -> Scene:

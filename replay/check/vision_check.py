@@ -129,7 +129,7 @@ def sweep_pairs(box: BlackBox, then: SweepFrames, now: SweepFrames) -> Iterator[
         if before is None or after is None:
             yield SweepPair(*key, None, None, flipped=True)
             continue
-        shift = abs(after.lens_position - before.lens_position) / before.sigma
+        shift = abs((after.lens_position or 0.0) - (before.lens_position or 0.0)) / before.sigma
         places = [_fix(box, outcome.target, peak, eye) for peak in (before, after)]
         fixes = [place for place in places if isinstance(place, Fix)]
         yield SweepPair(*key, shift, _apart(*fixes) if len(fixes) == 2 else None, flipped=len(fixes) == 1)

@@ -180,7 +180,7 @@ def _sections(run: Run, survey: Surveyed | None, depth: MeasureDepth | None) -> 
             "the peaks of this run on that curve. Below: how well the curve is known. RMSE is the calibration's own "
             "error, once over the distances that it was fitted to and once over distances left out.",
             [],
-            [svg(figures.calibration_fit(timeline)) for timeline in inside],
+            [svg(figures.calibration_fit(timeline)) for timeline in inside if timeline.boxes[-1].calibration.focus],
         ),
         Section(
             "posture",

@@ -24,7 +24,7 @@ from agent.robot.step import Agent
 from tests.capabilities.light.dark_fish import DarkFish
 from tests.capabilities.light.dark_survey import DarkSurvey
 from tests.capabilities.light.lit_swarm import LitSwarm
-from tests.capabilities.swim.swimming_agent import InTank, fleet
+from tests.capabilities.swim.swimming_agent import CALIBRATION, InTank, fleet
 from tests.core.swarm_on_hand import Swarm
 from tests.robot.ordering import Ordering
 
@@ -78,8 +78,13 @@ def ordered() -> Iterator[Agent]:
     yield robot.agent
 
 
+def of_fixed_focus() -> Iterator[Agent]:
+    yield Agent(fleet(), "r1", replace(CALIBRATION, focus=None), 7)
+
+
 KINDS = {
     "ordered": ordered,
+    "fixed focus": of_fixed_focus,
     "paper": moored("paper"),
     "metropolis": moored("metropolis"),
     "evidence": moored("evidence"),

@@ -7,6 +7,7 @@ from msgspec.structs import replace
 
 from agent.core.ranging.sweep import (
     TRACK_STEPS,
+    LateFrames,
     Measurement,
     Rejected,
     Sweep,
@@ -274,3 +275,22 @@ def test_the_other_end_where_smaller_positions_are_nearer() -> None:
     assert short_of_infinity(fit, [200, 600, 990, 1010]) is None
     says = short_of_infinity(fit, [200, 600, 900, 930, 930])
     assert says == "the lens stops at 930, infinity is at 1000: no range to targets beyond 1.3 m"
+
+
+@pytest.mark.parametrize(("late_s", "told"), [(0.0, False), (0.01, False), (0.06, True), (-0.06, True)])
+def test_peaks_that_lie_farther_on_the_faster_the_lens_went_contradict_the_timing(late_s: float, told: bool) -> None:
+    fit = replace(FIT, width=118.0)  # as of most lenses: a step of a tracking sweep is longer than one of a full sweep
+    sweep, late = Sweep(fit, 30), LateFrames()
+    for _ in range(4):  # a full one and three of tracking
+        plan = sweep.start(0)
+        pace = (plan.focus[-1] - plan.focus[1]) / (0.1 * (len(plan.focus) - 2))
+        assert late.late_s() is None
+        peak = 431.0 + late_s * pace
+        clarity = {k: 10 + 90 / (1 + ((at - peak) / 118) ** 2) for k, at in enumerate(plan.focus)}
+        frames(sweep, plan, peak, t_ns=lambda index: index * S // 10, clarity=clarity.get)
+        found = sweep.finish(100 * S)
+        assert isinstance(found, Measurement) and found.pace == pytest.approx(pace)
+        late.add(found, FIT.noise)
+    assert (late.late_s() is not None) == told
+    if told:
+        assert late.late_s()[0] == pytest.approx(late_s, abs=0.01)

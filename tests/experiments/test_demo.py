@@ -1,5 +1,7 @@
 """What is counted of the dives of `aucamp demo`: each by its worst robot."""
 
+import pytest
+
 from agent.demo.summary import BARS
 from agent.experiments.claim import Quantile, Share, measure, verdict
 from agent.experiments.demo import CLAIM, DIVES, of_ball, summary
@@ -7,7 +9,8 @@ from agent.experiments.demo import CLAIM, DIVES, of_ball, summary
 
 def ball(*errors: float | None) -> dict:
     """The target of a summary.json, as far as it is read."""
-    row = {"relative_error_percent": None, "below_0_4_percent_from": 12}
+    row = {"relative_error_percent": None, "below_0_4_percent_from": 12, "prior_rmse_mm": 3.0, "error_mm": 2.0}
+    row["sigma_m"] = 0.002
     return {"agents": {f"r{k}": {**row, "relative_error_percent": error} for k, error in enumerate(errors)}}
 
 
@@ -16,7 +19,8 @@ def dive(*errors: float | None, passed: bool = True) -> dict:
 
 
 def test_a_dive_is_as_good_as_its_worst_robot() -> None:
-    assert of_ball(ball(0.1, 0.3)) == {"error_percent": 0.3, "from_iteration": 12.0}
+    figures = {"error_percent": 0.3, "from_iteration": 12.0, "prior_mm": 3.0, "sigma_mm": 2.0, "nees": 3.0}
+    assert of_ball(ball(0.1, 0.3)) == pytest.approx(figures)
     assert of_ball(ball(0.1, None))["error_percent"] is None
     found = summary({"tank": [dive(0.1, 0.2), dive(0.1, 0.5, passed=False), dive(None, 0.1, passed=False)]})
     assert found["tank_within"] == found["tank_passed"] == Share(1, 3)
@@ -33,5 +37,6 @@ def test_sixty_dives_show_the_share_that_is_asked_for() -> None:
 
 def test_every_case_tells_all_its_figures() -> None:
     of_case = {"box": {"outside_mm": 1.0}, "fish": dict.fromkeys(BARS, 1.0)}
+    of_case["stale"] = {"told": 1}
     rows = {case: [{**dive(0.1), **of_case.get(case, {})}] for case in DIVES}
     assert set(summary(rows)) == {figure.key for figure in CLAIM.figures}

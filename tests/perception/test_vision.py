@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 
 import cv2
@@ -10,12 +11,23 @@ import pytest
 
 from agent.core.codec import decode, encode
 from agent.core.messages import MAX_JPEG, Image
+from agent.core.ranging.camera_model import TimingFit
 from agent.core.ranging.focus import Peak, fit_peak
 from agent.core.step_io import Sighting, SweepPlan
 from agent.core.topics import IMAGE
 from agent.perception import vision
 from agent.perception.enhancement.enhance import Enhancer, OnDemandEnhancer
-from agent.perception.vision import FROZEN_FRAMES, FROZEN_NS, KEPT_BYTES, QUEUE, FrozenWatch, Preview, check, compressed
+from agent.perception.vision import (
+    FROZEN_FRAMES,
+    FROZEN_NS,
+    KEPT_BYTES,
+    QUEUE,
+    FrozenWatch,
+    Preview,
+    TimedCamera,
+    check,
+    compressed,
+)
 from hw.camera.camera import CameraError, Frame, Roi
 from hw.camera.files import StackCamera
 from tests.perception.painted import sharp_position
@@ -334,3 +346,28 @@ def test_the_rate_can_be_changed_on_the_way() -> None:
     preview.set_rate(5.0)
     shown = [preview.of(preview_frame(), sighting(), 10_000 * MS + 50 * MS * i) is not None for i in range(40)]
     assert sum(shown) == 10
+
+
+def test_what_the_calibration_knows_of_timing_is_taken_out_of_frames() -> None:
+    now_ns, camera = [0], ScriptedCamera()
+    asked: list[float] = []
+
+    def read(roi=None, settle_s=0.0, timeout_s=1.0):
+        asked.append(settle_s)
+        return Frame(now_ns[0] + round(1e9 * settle_s), 1, np.zeros((480, 640, 3), np.uint8), Roi(0, 0, 640, 480))
+
+    camera.read = read
+    timed = TimedCamera(camera, TimingFit(stamp_late_s=0.12, lens_lag_s=0.1), lambda: now_ns[0])
+    assert timed.lens_position(0) is None and timed.homing_s == pytest.approx(0.5)
+    timed.set_focus(100)
+    now_ns[0] = 10 * 10**9
+    timed.set_focus(200)
+    frame = timed.read(settle_s=0.05)
+    assert asked == [pytest.approx(0.32)]  # late stamps, and two lags of the lens
+    assert frame.t_ns == 10_200_000_000
+    assert timed.lens_position(frame.t_ns) == round(200 - 100 * math.exp(-2))
+    assert timed.lens_position(10 * 10**9 - 1) == 100  # exposed before the lens was told
+    as_it_is = TimedCamera(camera, TimingFit(), lambda: now_ns[0])
+    as_it_is.set_focus(300)
+    frame = as_it_is.read(settle_s=0.05)
+    assert asked[-1] == 0.05 and frame.t_ns == 10_050_000_000 and as_it_is.lens_position(0) == 300

@@ -12,6 +12,8 @@ import pytest
 
 from agent.core.codec import decode, encode
 from agent.core.messages import Estimate, State
+from agent.core.ranging.fix import Outline
+from agent.core.ranging.sweep import Measurement
 from agent.core.step_io import Heard, Inputs
 from agent.demo.demo import demo_fleet
 from agent.process.command import fleet_file
@@ -60,6 +62,18 @@ def test_told_before_seen_and_all_agree() -> None:
     for state in last.values():
         assert state.posterior_m == pytest.approx((0.76, 0.56, 0.07), abs=0.003)
         assert state.faults == ()
+
+
+def test_a_camera_whose_timing_is_not_as_calibrated_is_named() -> None:
+    agent = Agent(FLEET, "r1", CALIBRATION, incarnation=7)
+    late = agent.measuring._late["ball"]
+    for held, pace in ((None, 300.0), (60.0, 600.0), (60.0, 600.0), (60.0, 600.0)):  # frames are 60 ms late
+        outline = Outline((320.0, 240.0), 60.0, 1.0, None)
+        late.add(Measurement(1, 1, 400.0 + 0.06 * pace, 0.5, 60.0, held, outline, 0.99, pace), 0.5)
+    outputs = agent.step(Inputs(), 10**18)
+    text = "camera timing: by sweeps frames show the lens 60 ms"
+    assert any(fault.startswith(text) for fault in outputs.state.faults)
+    assert any(line.text.startswith(text) and line.level == "warning" for line in outputs.log)
 
 
 def test_silent_devices_are_named_within_a_second_and_talk_goes_on() -> None:

@@ -1,15 +1,17 @@
 """A gimbal that was turned away on purpose comes back at once, and what was learnt of the target is kept."""
 
 import pytest
+from msgspec.structs import replace
 
 from agent.core.capability import CameraAct, LightView
 from agent.core.ranging.camera_model import look_at
+from agent.core.ranging.sweep import SLACK_NS, Measurement, Rejected
 from agent.core.step_io import Sighting
-from agent.robot.target_search import LOST_NS, PATIENCE, TURN, TargetScheduler, TargetSearch
+from agent.robot.target_search import LOST_NS, PATIENCE, TURN, FixedFocus, TargetScheduler, TargetSearch
 from tests.capabilities.swim.swimming_agent import CALIBRATION, POSE, fleet
 from tests.core.situations import LEVEL, situation
 
-START_NS, STEP_NS = 10**18, 50_000_000
+START_NS, STEP_NS, S = 10**18, 50_000_000, 1_000_000_000
 TOLD_M = (1.7, 1.5, 0.2)  # where others say that the ball is
 
 
@@ -102,3 +104,35 @@ def test_a_target_whose_index_others_drive_is_looked_at_all_the_same() -> None:
         waited = 0 if turns.next(t) == "buoy" else waited + 1
         longest = max(longest, waited)
     assert longest <= (PATIENCE * len(THREE) + 1) * TURN
+
+
+def test_a_camera_of_fixed_focus_measures_without_a_plan() -> None:
+    of = fleet()
+    search = TargetSearch(of, of.robot["r1"], replace(CALIBRATION, focus=None))
+    act(search, START_NS)
+    now_ns = search.pointing.steady_from_ns + STEP_NS
+    for step in range(2):  # it comes into view, and is measured
+        seen = Sighting(t_ns=now_ns, frame=step, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0)
+        search.add_sighting(seen, LightView())
+        assert isinstance(search.finish(now_ns), Measurement) == (step == 1)
+        assert act(search, now_ns) is None
+        now_ns += STEP_NS
+
+
+def test_where_the_focus_is_fixed_the_next_frame_is_the_measurement() -> None:
+    look = FixedFocus()
+    frame = Sighting(t_ns=S - 1, frame=1, target="ball", found=True, centre_px=(300.0, 240.0), radius_px=99.0)
+    assert look.start(S) is None and look.running
+    look.frame(frame)  # exposed before
+    assert look.finish(S) is None
+    look.frame(replace(frame, t_ns=S + 1, frame=2, centre_px=(320.0, 240.0)))
+    look.frame(replace(frame, t_ns=S + 2, frame=3))
+    found = look.finish(S + 3)
+    assert isinstance(found, Measurement) and found.lens_position is None
+    assert (found.t_ns, found.outline.centre_px, found.outline.radius_px) == (S + 1, (320.0, 240.0), 99.0)
+    assert look.ready(S + 3) and look.finish(S + 4) is None
+    look.start(S)
+    assert look.finish(S + SLACK_NS) == Rejected(2, "no frame in time")
+    look.start(S)
+    look.frame(replace(frame, t_ns=S, found=False, centre_px=None))
+    assert look.finish(S) == Rejected(3, "target not seen in the frame")

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
-from agent.core.config import Body, ConfigError, Fleet, Pose, Robot, Target
+from agent.core.config import Body, Fleet, Pose, Robot, Target
 from agent.core.ranging.camera_model import camera_pose, ray, to_world
 from agent.core.ranging.focus import Peak, h
 from agent.tools import bench_calibration
@@ -18,7 +18,9 @@ from agent.tools.bench_calibration import (
     SAG_TILTS_DEG,
     SETTINGS,
     calibrate,
+    describe,
     find_corners,
+    fit_timing,
     setting,
     tilted_peaks,
 )
@@ -129,7 +131,9 @@ def test_a_tilted_board_is_as_far_as_where_the_middle_of_the_picture_shows_it(fl
     monkeypatch.setattr(bench_calibration, "board_peak", lambda *_: Peak(400.0, 0.1, 100.0, 1.0))
     pose, body = Pose(x_m=0.0, y_m=0.0, yaw_deg=0.0), replace(fleet.body, camera_m=(0.0, 0.0, 0.0))
     boards = []
-    peaks = tilted_peaks(fleet, BenchCamera(), seen, lambda board_m, us: boards.append(board_m), lambda *_: None)
+    peaks = tilted_peaks(
+        fleet, BenchCamera(), FocusRange(0, 1023, 1), seen, lambda board_m, us: boards.append(board_m), lambda *_: None
+    )
     assert len(peaks) == len(SAG_AT_M) * len(SAG_TILTS_DEG)
     for (ahead_m, _, up_m), peak in zip(boards[1::2], peaks, strict=True):
         eye = camera_pose(pose, body, 0.0, 0.0, 0.0, 0.0, math.degrees(peak.tilt_rad), 0.0)
@@ -177,11 +181,14 @@ def test_nothing_to_see_is_refused_with_its_reason(fleet):
         calibrate(fleet, "r1", camera, camera.place, lambda *_: None)
 
 
-def test_a_camera_without_focus_is_refused(fleet):
-    camera = BenchCamera()
-    camera.focus_range = lambda: None
-    with pytest.raises(ConfigError, match="focus cannot be set"):
-        calibrate(fleet, "r1", camera, camera.place, lambda *_: None)
+@pytest.mark.parametrize("limits", [None, FocusRange(0, 0, 1)])
+def test_of_a_fixed_focus_picture_and_gimbal_are_measured_and_nothing_is_swept(fleet, limits):
+    camera, told = BenchCamera(), []
+    camera.position, camera.focus_range, camera.set_focus = round(sharp_position(0.75)), lambda: limits, told.append
+    found = calibrate(fleet, "r1", camera, camera.place, lambda *_: None)
+    assert found.focus is None and not told
+    assert found.camera.f_px == pytest.approx(CAMERA.f_px, rel=2e-3)
+    assert "focus: fixed" in describe(found)
 
 
 def test_corners_run_from_the_upper_left_row_by_row():
@@ -193,3 +200,21 @@ def test_corners_run_from_the_upper_left_row_by_row():
         corners = np.array(find_corners(grey)).reshape(ROWS, COLUMNS, 2)
         assert (np.diff(corners[:, :, 0], axis=1) > 0).all() and (np.diff(corners[:, :, 1], axis=0) > 0).all()
     assert find_corners(np.full((480, 640), 90, np.uint8)) == []
+
+
+@pytest.mark.parametrize(("late_s", "lag_s"), [(0.0, 0.003), (0.066, 0.05), (0.12, 0.1), (0.12, 0.017)])
+def test_late_stamps_and_a_slow_lens_are_told_apart_by_the_frames_after_a_step(late_s, lag_s):
+    positions, noise = np.linspace(300.0, 390.0, 9), np.random.default_rng(0)
+
+    def clarity(at):
+        return 100.0 / (1.0 + ((at - 410.0) / 90.0) ** 2)
+
+    told_s = [k / 240.0 for k in range(8)]  # after a frame's stamp; the frames after it follow each other
+    since_s = np.array([frame / 30.0 - told for told in told_s for frame in (0, *range(2, 18))])
+    gone = 1.0 - np.exp(-np.maximum(since_s - late_s, 0.0) / lag_s)
+    seen = clarity(300.0 + 90.0 * gone) + noise.normal(0.0, 0.5, since_s.size)
+    fit = fit_timing(positions, clarity(positions), since_s, seen)
+    assert abs(fit.stamp_late_s - late_s) < min(3.0 * fit.stamp_late_sigma_s, 0.03)
+    assert abs(fit.lens_lag_s - lag_s) < min(3.0 * fit.lens_lag_sigma_s, 0.01)
+    with pytest.raises(CalibrationRefused, match="keep board and light still"):
+        fit_timing(positions, clarity(positions), since_s, seen[::-1])

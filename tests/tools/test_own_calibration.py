@@ -8,15 +8,17 @@ import pytest
 import tomli_w
 from msgspec.structs import replace
 
-from agent.core.config import ConfigError, Fleet, dump
-from agent.core.ranging.camera_model import Calibration
+from agent.core.config import ConfigError, Coverage, Fleet, Lighting, Ranging, WaterOptics, dump
+from agent.core.ranging.camera_model import Calibration, load_focus
 from agent.process.agent_process import own_calibration
 from agent.process.command import shipped_fleet
 from agent.robot.fleet_reader import load_fleet
+from agent.robot.step import Agent
 from tests.known_lens import CAMERA, PLAIN
 
 FLEET = load_fleet(shipped_fleet())
 KNOWN = Calibration(robot="r1", made="2026-01-01", source="test", focus=PLAIN, camera=CAMERA)
+NIGHT = Lighting(water=WaterOptics(absorption_per_m=(0.1, 0.1, 0.1), scattering_per_m=(0.1, 0.1, 0.1)))
 
 
 def believed(tmp_path: Path, calibration: Calibration | dict[str, Any] | None, fleet: Fleet = FLEET) -> Calibration:
@@ -31,12 +33,22 @@ def test_ones_own_is_believed(tmp_path: Path) -> None:
     assert believed(tmp_path, KNOWN) == KNOWN
 
 
-@pytest.mark.parametrize("table", ["focus", "camera"])
-def test_a_table_that_is_missing_is_named_with_what_makes_it(tmp_path: Path, table: str) -> None:
+def test_a_table_that_is_missing_is_named_with_what_makes_it(tmp_path: Path) -> None:
     content = tomllib.loads(dump(KNOWN))
-    del content[table]
-    with pytest.raises(ConfigError, match=rf"r1\.toml: has no table \[{table}\]; add it by `aucamp calibrate {table}`"):
+    del content["camera"]
+    with pytest.raises(ConfigError, match=r"r1\.toml: has no table \[camera\]; add it by `aucamp calibrate camera`"):
         believed(tmp_path, content)
+
+
+def test_a_focus_that_is_fixed_needs_no_table_but_for_what_sweeps(tmp_path: Path) -> None:
+    fixed = replace(KNOWN, focus=None)
+    assert believed(tmp_path, fixed) == fixed
+    with pytest.raises(ConfigError, match=r"r1\.toml: has no table \[focus\].* sweeps the lens; .*calibrate focus"):
+        load_focus(tmp_path / FLEET.robot["r1"].calibration)
+    for asked, what in (("coverage", Coverage()), ("lighting", NIGHT), ("ranging", Ranging(cues="focus"))):
+        with pytest.raises(ConfigError, match=rf"{asked}.* needs a lens that sweeps, and the camera of r1") as caught:
+            Agent(replace(FLEET, **{asked: what}), "r1", fixed, 7)
+        assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

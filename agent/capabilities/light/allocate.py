@@ -415,10 +415,10 @@ def scene_of(calibration: Calibration, eye: Eye, target: Target, target_m: Vecto
     distance_m = math.sqrt(sum(x * x for x in away))
     radius_m = target.radius_m or (0.5 * target.length_m if target.length_m else THING_M)
     skin_m = distance_m - radius_m
-    if skin_m <= max(calibration.focus.u_inf_m, 0.0) + NEAREST_M:
+    if skin_m <= max(calibration.swept.u_inf_m, 0.0) + NEAREST_M:
         return None
     x, y, z = (part / distance_m for part in away)
-    fit = calibration.focus
+    fit = calibration.swept
     travel = lens_position(fit, skin_m) - fit.rho0  # dh / drho = -b / travel^2
     slope_mm = 1000.0 * abs(fit.b_m) / (travel * travel)
     return Scene(eye.position_m, (x, y, z), target_m, radius_m, calibration.camera.f_px, slope_mm)

@@ -78,7 +78,7 @@ class Requests(Revertible):
         scene = scene_of(self._calibration, eye, self._ball(situation), at_m)
         if scene is None:
             return None
-        return lens_position(self._calibration.focus, math.dist(scene.camera_m, scene.target_m) - scene.radius_m)
+        return lens_position(self._calibration.swept, math.dist(scene.camera_m, scene.target_m) - scene.radius_m)
 
     def _ball(self, situation: Situation) -> Target:
         return self._fleet.target[situation.watched]

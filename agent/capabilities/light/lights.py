@@ -51,6 +51,7 @@ class Light(Capability, Illumination):
 
     name: ClassVar[str] = "light"
     table: ClassVar[str] = "lighting"
+    sweeps: ClassVar[bool] = True
     does: ClassVar[str] = "lights"
     lacks: ClassVar[str] = "it has no lamp: `lamp = true` is not in its table of the fleet file"
     topics: ClassVar[tuple[Topic, ...]] = (LIGHT,)
@@ -173,7 +174,7 @@ class Light(Capability, Illumination):
             self._end(now_ns)
 
     def corrected(self, peak: Measurement, eye: Eye, ball: Target, cues: Cues) -> tuple[Outline, float, Cues]:
-        if set(self._turn.burned) <= {self._name}:
+        if peak.lens_position is None or set(self._turn.burned) <= {self._name}:
             return peak.outline, peak.sigma, cues
         outline = whole(self._calibration, eye, peak.outline, peak.lens_position, peak.sigma, ball, self._lamps_m)
         return outline._replace(centre_sigma_px=WANDERS_PX), SCATTERS * peak.sigma, cues_by(cues)
@@ -291,7 +292,7 @@ class Light(Capability, Illumination):
     def lens(self) -> int | UnsetType | None:
         """Where the target is believed to be sharp, which out of focus does not show in the dark, when that has changed
         by enough; of robots that swim landmarks have the lens."""
-        wanted, fit = self._wanted_lens, self._calibration.focus
+        wanted, fit = self._wanted_lens, self._calibration.swept
         if self._fleet.navigation is not None or wanted is None:
             return UNSET
         if self._lens is not None and abs(wanted - self._lens) < LENS_STEP * fit.width:

@@ -68,7 +68,15 @@ from agent.core.config import Fleet, Pose
 from agent.core.config import Survey as SurveyBehaviour
 from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
-from agent.core.ranging.camera_model import Calibration, CameraFit, Eye, at_lens_position, servos_us, to_world
+from agent.core.ranging.camera_model import (
+    Calibration,
+    CameraFit,
+    Eye,
+    at_lens_position,
+    servos_us,
+    sweep_waits_ns,
+    to_world,
+)
 from agent.core.ranging.focus import at_tilt, h, lens_position, phase_sigma, range_variance
 from agent.core.ranging.pointing import reachable
 from agent.core.ranging.sweep import full_positions, home_position
@@ -111,7 +119,7 @@ def lens_of(camera: CameraFit, lens_position: float | None) -> tuple[Lens, int]:
 def sigma_of(calibration: Calibration) -> int:
     """What is expected of a block's depth at SIGMA_AT_M, in units of SIGMA_UNIT_MM: by the grid of its pixels, the
     lens's noise, and the calibration."""
-    fit, side = calibration.focus, block_px(calibration.camera)
+    fit, side = calibration.swept, block_px(calibration.camera)
     variance = range_variance(fit, lens_position(fit, SIGMA_AT_M), phase_sigma(fit.width, side * side))
     return min(max(round(NOISIER * 1000.0 * math.sqrt(sum(variance)) / SIGMA_UNIT_MM), 1), 10**5)
 
@@ -131,7 +139,7 @@ def frame_of(
     if (peaks.cols, peaks.block_px, peaks.rows) != (lens.cols, lens.block, rows):
         return None
     forward = eye.rotation[2][2]  # of the optical axis upwards
-    fit = at_tilt(calibration.focus, math.asin(min(max(forward, -1.0), 1.0)))
+    fit = at_tilt(calibration.swept, math.asin(min(max(forward, -1.0), 1.0)))
     count = lens.cols * rows
     slopes, ahead_m = block_slopes(lens, lens.cols * rows), lens.ahead * UNIT_M
     depths: list[float | None] = [None] * count
@@ -295,7 +303,8 @@ class Surveyor(Revertible):
     @property
     def most_ns(self) -> int:
         """How long a sweep can take."""
-        return SLACK_NS + (self._fleet.camera.sweep_steps + 1) * STEP_NS
+        steps = self._fleet.camera.sweep_steps + 1
+        return SLACK_NS + steps * STEP_NS + sweep_waits_ns(self._calibration.timing, steps)
 
     def sweep(self, steady: bool, now_ns: int) -> SweepPlan | None:
         """The plan of a sweep over all of the view, once the camera rests; None: not yet."""
@@ -305,11 +314,12 @@ class Surveyor(Revertible):
             if now_ns - self._since_ns > LOOK_NS:
                 self.give_up(now_ns)
             return None
-        fit = self._calibration.focus
+        fit = self._calibration.swept
         positions = full_positions(fit, self._fleet.camera.sweep_steps)
         self._sweeps += 1
         self._begin("swept", now_ns)
-        self._until_ns = now_ns + SLACK_NS + len(positions) * STEP_NS
+        waits_ns = sweep_waits_ns(self._calibration.timing, len(positions))
+        self._until_ns = now_ns + SLACK_NS + len(positions) * STEP_NS + waits_ns
         focus = (home_position(positions, fit), *positions)
         return SweepPlan(sweep=self._sweeps, focus=focus, block_px=block_px(self._calibration.camera))
 
@@ -413,6 +423,7 @@ class Survey(Capability):
 
     name: ClassVar[str] = "survey"
     table: ClassVar[str] = "coverage"
+    sweeps: ClassVar[bool] = True
     does: ClassVar[str] = "surveys"
     topics: ClassVar[tuple[Topic, ...]] = (CLAIM, KEYFRAME)
 

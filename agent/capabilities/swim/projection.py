@@ -267,10 +267,10 @@ WIDTH_PX = 2.5  # diameter of the blur's disc a half width of the clarity peak o
 MIXED = 1.0  # of a module
 
 
-def readable(tags: Iterable[SeenTag], size_m: float, fit: FocusFit, focus: float | None) -> list[SeenTag]:
-    """The tags whose blur is narrower than a module. size_m: of a tag; focus: the frame's lens position, None: it is
-    not known, and all count."""
-    if focus is None:
+def readable(tags: Iterable[SeenTag], size_m: float, fit: FocusFit | None, focus: float | None) -> list[SeenTag]:
+    """The tags whose blur is narrower than a module. size_m: of a tag; focus: the frame's lens position. All count
+    where that is not known, or the lens cannot be moved (no fit)."""
+    if fit is None or focus is None:
         return list(tags)
     return [tag for tag in tags if _blur_px(tag, size_m, fit, focus) <= MIXED * tag.size_px / MODULES]
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple
+from typing import Annotated, NamedTuple
 
 from msgspec import Meta
 from msgspec.structs import replace
@@ -23,6 +23,11 @@ from agent.core.messages import Symmetric, Vector
 
 # --- calibration file of one robot ---
 # What `aucamp calibrate` measured and the agent relies on.
+
+NO_FOCUS = (
+    "has no table [focus], as if the camera's focus were fixed, and this sweeps the lens; add it by "
+    "`aucamp calibrate focus`, or measure all of it by `aucamp calibrate run`"
+)
 
 
 class FocusFit(Struct, frozen=True, kw_only=True):
@@ -80,6 +85,24 @@ class CameraFit(Struct, frozen=True, kw_only=True):
     covariance: Annotated[tuple[float, ...], Meta(min_length=55, max_length=55)] | None = None
 
 
+class TimingFit(Struct, frozen=True, kw_only=True):
+    """How late frames are stamped and how slowly the lens follows its commands, as its pictures tell: told to move at
+    t, it has gone 1 - exp(-s / lens_lag_s) of its way in the frame that is stamped t + stamp_late_s + s."""
+
+    stamp_late_s: Annotated[float, Meta(ge=-0.1, le=1)] = 0.0  # after the middle of the exposure
+    stamp_late_sigma_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    lens_lag_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
+    lens_lag_sigma_s: Annotated[float, Meta(ge=0, le=1)] = 0.0
+
+
+RESTS = 2.0  # lags of the lens that a frame of a sweep waits for: the seventh part of a step that is left is known
+
+
+def sweep_waits_ns(timing: TimingFit, steps: int) -> int:
+    """How much longer a sweep may take for late stamps and a slow lens."""
+    return round(1e9 * steps * (max(timing.stamp_late_s, 0.0) + RESTS * timing.lens_lag_s))
+
+
 class BodyFit(Struct, frozen=True, kw_only=True):
     """How a robot moves in the plane for each newton that it asks of its thrusters, whatever these then really give."""
 
@@ -101,9 +124,17 @@ class Calibration(Struct, frozen=True, kw_only=True):
     robot: str
     made: str  # date, UTC
     source: str  # what was in front of which camera
-    focus: FocusFit
+    focus: FocusFit | None = None  # none: its focus is fixed, and ranges come from sizes
     camera: CameraFit
+    timing: TimingFit = TimingFit()  # nothing: not measured, and taken for none
     body: BodyFit | None = None  # none: the default fit; only a robot that swims needs it
+
+    @property
+    def swept(self) -> FocusFit:
+        """[focus], for what sweeps the lens. Raises ConfigError where there is none."""
+        if self.focus is None:
+            raise ConfigError(f"calibration of {self.robot}: {NO_FOCUS}")
+        return self.focus
 
 
 def at_lens_position(camera: CameraFit, lens_position: float | None) -> CameraFit:
@@ -117,8 +148,11 @@ def at_lens_position(camera: CameraFit, lens_position: float | None) -> CameraFi
 def load_calibration(path: Path) -> Calibration:
     """Read a calibration file. Raises ConfigError with one line."""
     data = read_toml(path)
-    for table in ("focus", "camera"):
-        _refuse_without(table, data, path)
+    if "camera" not in data:
+        raise ConfigError(
+            f"{path}: has no table [camera]; add it by `aucamp calibrate camera`, "
+            "or measure all of it by `aucamp calibrate run`"
+        )
     return convert(data, Calibration, path)
 
 
@@ -126,8 +160,9 @@ def load_focus(path: Path) -> FocusFit:
     """The lens of a calibration file, which is all that ranges of a whole view need: [camera] may be missing. Raises
     ConfigError with one line."""
     data = read_toml(path)
-    _refuse_without("focus", data, path)
-    return load_calibration(path).focus if "camera" in data else convert(data, _Lens, path).focus
+    if "focus" not in data:
+        raise ConfigError(f"{path}: {NO_FOCUS}")
+    return load_calibration(path).swept if "camera" in data else convert(data, _Lens, path).focus
 
 
 class _Lens(Struct, frozen=True, kw_only=True):
@@ -137,14 +172,6 @@ class _Lens(Struct, frozen=True, kw_only=True):
     made: str
     source: str
     focus: FocusFit
-
-
-def _refuse_without(table: str, data: dict[str, Any], path: Path) -> None:
-    if table not in data:
-        raise ConfigError(
-            f"{path}: has no table [{table}]; add it by `aucamp calibrate {table}`, "
-            "or measure all of it by `aucamp calibrate run`"
-        )
 
 
 # --- geometry ---

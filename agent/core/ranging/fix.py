@@ -57,14 +57,15 @@ def locate(
     calibration: Calibration,
     eye: Eye,
     outline: Outline,
-    rho: float,
+    rho: float | None,
     sigma_rho: float,
     ball: Target,
     cues: Cues = "both",
     own: OwnPose | None = None,
     budget: Budget = CAREFUL,
 ) -> Fix | NoRange:
-    """The ball's centre from its outline in the sharpest frame and from the lens position of the clarity's peak.
+    """The ball's centre from its outline in the sharpest frame and from the lens position of the clarity's peak. By the
+    outline alone where the focus is fixed (rho: None); of a thing of unknown size that is a bearing.
 
     Of what is in a box: the point of its surface behind the middle of the box. own: how well a robot that swims knows
     where it was then; None: it is moored. budget: of it counts what each robot has wrong for itself; what all have
@@ -145,6 +146,7 @@ ARC_POWER = 1.5  # where vision states no sigma, share ** -1.5 times as much: 0.
 CENTRE_NOISE_PX = 0.1  # of the middle of an outline, beside the residual of the camera's calibration
 WARMTH = 0.005  # peak half-widths by which the lens moves as its coil warms up: a tenth of a micrometre
 FARTHEST_M = 1.2  # so far a target is found in most kinds of water
+TURNED = 0.25  # of the range, standard deviation: a thing of known length shows less of it from most sides
 DISAGREE = 5.0  # standard deviations of their difference beyond which focus and size do not speak of one ball
 
 
@@ -182,16 +184,24 @@ class Range(NamedTuple):
 
 
 def distance(
-    calibration: Calibration, outline: Outline, rho: float, sigma_rho: float, ball: Target, cues: Cues, tilt_rad: float
+    calibration: Calibration,
+    outline: Outline,
+    rho: float | None,
+    sigma_rho: float,
+    ball: Target,
+    cues: Cues,
+    tilt_rad: float,
 ) -> Range | NoRange:
     """The range by the wanted cues; NoRange where they have no range, or contradict each other.
 
-    rho, sigma_rho: lens position of the clarity's peak and its standard deviation. tilt_rad: how far the camera looks
-    up.
+    rho, sigma_rho: lens position of the clarity's peak and its standard deviation; None: the focus is fixed. tilt_rad:
+    how far the camera looks up.
     """
     camera = at_lens_position(calibration.camera, outline.lens_position)
     if cues == "size":
         return size_range(camera, outline, ball)
+    if calibration.focus is None or rho is None:
+        return fixed_focus_range(camera, outline, ball)
     focus = focus_range(calibration.focus, camera, outline.centre_px, rho, sigma_rho, ball, tilt_rad)
     if focus is None:
         return NoRange(f"peak at {rho:.0f} is sharp beyond all ranges")
@@ -200,9 +210,11 @@ def distance(
 
 
 def cue_ratio(
-    calibration: Calibration, outline: Outline, rho: float, sigma_rho: float, ball: Target, tilt_rad: float
+    calibration: Calibration, outline: Outline, rho: float | None, sigma_rho: float, ball: Target, tilt_rad: float
 ) -> Ratio | None:
     """How the range by focus stands to that by size; None where one of them is missing."""
+    if calibration.focus is None or rho is None:
+        return None
     camera = at_lens_position(calibration.camera, outline.lens_position)
     focus = focus_range(calibration.focus, camera, outline.centre_px, rho, sigma_rho, ball, tilt_rad)
     if focus is None or ball.radius_m is None or outline.radius_px is None:
@@ -272,6 +284,17 @@ def size_range(camera: CameraFit, outline: Outline, ball: Target) -> Range:
     )
 
 
+def fixed_focus_range(camera: CameraFit, outline: Outline, target: Target) -> Range:
+    """By the size of a ball; of a thing in a box by its length, if that is known; else any range within which targets
+    are found, which leaves a bearing. What a size does not say it does not say in any frame: it is systematic."""
+    if target.radius_m is not None and outline.radius_px is not None:
+        return size_range(camera, outline, target)
+    if target.length_m is not None and outline.size_px is not None:
+        far_m = min(target.length_m * camera.f_px / max(*outline.size_px, 1.0), FARTHEST_M)
+        return Range(far_m, 0.0, (TURNED * far_m) ** 2, focus_share=0.0)
+    return Range(0.5 * FARTHEST_M, 0.0, FARTHEST_M**2 / 12.0, focus_share=0.0)
+
+
 def fuse(focus: Range, size: Range) -> Range | NoRange:
     """Both ranges, each weighted by the inverse of its whole variance; NoRange where they contradict each other."""
     apart_m, both = focus.distance_m - size.distance_m, focus.variance_m2 + size.variance_m2
@@ -296,7 +319,7 @@ def shows_whole(calibration: Calibration, eye: Eye, target: Target, x_m: Vector,
     """Whether a camera there has all of a target in its picture, in reach of its lens, wherever it is by 3 sigma."""
     camera, fit = calibration.camera, calibration.focus
     at = to_camera(eye, x_m)
-    centre_px, nearest_m = pixel(camera, at), h(fit, fit.highest)
+    centre_px, nearest_m = pixel(camera, at), 0.0 if fit is None else h(fit, fit.highest)
     sigma_m = math.sqrt(max(covariance_m2[0], covariance_m2[3], covariance_m2[5]))
     size_m = target.radius_m or 0.5 * (target.length_m or 0.0)
     if centre_px is None or nearest_m is None or not max(nearest_m, 3.0 * sigma_m) < at[2] < FARTHEST_M:
@@ -456,7 +479,7 @@ def _bent_px(outline: Outline, target: Target, px_per_m: float, side: float | No
 def _height_range_m(outline: Outline, target: Target, camera: CameraFit) -> float | None:
     """About how far a creature of that length is that is so high in the picture; None: its length is unknown, or not
     all of its height shows."""
-    if target.length_m is None or outline.size_px is None:
+    if target.length_m is None or target.detector == "box" or outline.size_px is None:
         return None
     high_px, y_px = outline.size_px[1], outline.centre_px[1]
     whole = y_px - 0.5 * high_px > CUT_PX and y_px + 0.5 * high_px < camera.height_px - CUT_PX

@@ -39,19 +39,31 @@ FAILURES_BEFORE_FULL = 2  # tracking sweeps in a row without a peak
 FEWEST_STEPS = 8  # of a full sweep that was halved: nine tenths of a peak's half width from one to the next
 FAILURES_BEFORE_PAUSE = 3  # full sweeps in a row without a peak
 PAUSE_NS = 2_000_000_000
+TRACKED = 3  # tracking sweeps after a full one, by which timing is judged
+LATE_SIGMAS, LATE_S = 5.0, 0.02  # beyond which it is wrong; less lateness goes by while a frame waits for the lens
 
 
 class Measurement(NamedTuple):
-    """One accepted sweep, in lens and pixel terms; stamped with the time of its sharpest frame."""
+    """One accepted sweep, in lens and pixel terms; stamped with the time of its sharpest frame. Of a camera of fixed
+    focus one frame."""
 
     sweep: int  # number of its plan
     t_ns: int
-    lens_position: float  # of the peak
+    lens_position: float | None  # of the peak; None: the focus is fixed
     sigma: float  # its standard deviation, lens positions
     width: float  # half width of the peak, lens positions
     held_width: float | None  # that the fit was told; None: it was free
     outline: Outline  # in the frame nearest to the peak: blur moves an edge
     quality: float  # correlation of curve and model, 0 to 1
+    pace: float = 0.0  # of the lens, positions a second
+
+
+class Paced(NamedTuple):
+    """The peak of one sweep, and how fast the lens went: lens positions, a second."""
+
+    lens_position: float
+    sigma: float
+    pace: float
 
 
 class Rejected(NamedTuple):
@@ -90,8 +102,9 @@ def next_phase(phase: SweepPhase, event: SweepEvent) -> SweepPhase:
 class Sweep(Revertible):
     """Plans sweeps and collects their frames. The caller decides when the next may start."""
 
-    def __init__(self, fit: FocusFit, full_steps: int) -> None:
-        self._fit = fit
+    def __init__(self, fit: FocusFit, full_steps: int, waits_ns: int = 0) -> None:
+        """waits_ns: how much longer a full one may take for its camera's timing."""
+        self._fit, self._waits_ns = fit, waits_ns
         self._full_steps = full_steps
         self._number = 0
         self.phase: SweepPhase = "ready"
@@ -122,7 +135,7 @@ class Sweep(Revertible):
         self.phase = next_phase(next_phase(self.phase, "rest"), "start")
         if self._last is not None:
             half_span = TRACK_SPAN * (WIDER if self._failures else 1.0)
-            lens_positions = track_positions(self._last.lens_position, self._last.width, half_span)
+            lens_positions = track_positions(self._last.lens_position or 0.0, self._last.width, half_span)
         elif by_light is not None and by_light.around is not None and self._failures % 2 == 0:
             lens_positions = expected_positions(by_light.around, self._fit.width, self._full_steps)
         else:
@@ -131,7 +144,7 @@ class Sweep(Revertible):
         self._number += 1
         self._frames, self._tilts = [], []
         self._plan = SweepPlan(sweep=self._number, focus=(home_position(lens_positions, self._fit), *lens_positions))
-        self._deadline_ns = now_ns + SLACK_NS + len(lens_positions) * STEP_NS
+        self._deadline_ns = now_ns + SLACK_NS + len(lens_positions) * STEP_NS + self._waits_ns
         return self._plan
 
     def frame(self, sighting: Sighting) -> None:
@@ -169,7 +182,7 @@ class Sweep(Revertible):
     @property
     def most_ns(self) -> int:
         """How long a full sweep may take, if its frames come in time."""
-        return SLACK_NS + self._full_steps * STEP_NS
+        return SLACK_NS + self._full_steps * STEP_NS + self._waits_ns
 
     def remark(self) -> str | None:
         """What a full sweep showed about the lens, once."""
@@ -202,6 +215,42 @@ class Sweep(Revertible):
         return peak_of(number, good, None if self._last is None else self._last.width)
 
 
+class LateFrames(Revertible):
+    """Whether sweeps contradict what the calibration says of the camera's timing.
+
+    Frames that are later than it says show the lens where it was, so that peaks seem to lie farther on, by the more the
+    faster it goes; and full sweeps have another pace than tracking ones, mostly half of it. For robots and targets at
+    rest alone: what moves changes its range from one sweep to the next.
+    """
+
+    def __init__(self) -> None:
+        self._full: Paced | None = None
+        self._tracking: list[Paced] = []  # since that full one
+
+    def add(self, peak: Measurement, noise: float) -> None:
+        """Take note of a sweep. noise: of one peak, by the calibration, lens positions."""
+        if peak.lens_position is None:
+            return
+        paced = Paced(peak.lens_position, max(peak.sigma, noise), peak.pace)
+        if peak.held_width is None:
+            self._full, self._tracking = paced, []
+        elif self._full is not None and len(self._tracking) < TRACKED:
+            self._tracking.append(paced)
+
+    def late_s(self) -> tuple[float, float] | None:
+        """By how much frames are later than believed, and its standard deviation; None where sweeps agree, or it is not
+        known yet."""
+        full, n = self._full, len(self._tracking)
+        if full is None or n < TRACKED:
+            return None
+        pace = full.pace - sum(each.pace for each in self._tracking) / n
+        if not pace:
+            return None
+        late = (full.lens_position - sum(each.lens_position for each in self._tracking) / n) / pace
+        sigma = math.hypot(full.sigma, math.sqrt(sum(each.sigma**2 for each in self._tracking)) / n) / abs(pace)
+        return (late, sigma) if abs(late) > max(LATE_SIGMAS * sigma, LATE_S) else None
+
+
 def usable(
     number: int, frames: Sequence[Sighting], tilts_deg: Sequence[tuple[float, float]]
 ) -> list[Sighting] | Rejected:
@@ -219,7 +268,6 @@ def peak_of(number: int, good: Sequence[Sighting], held_width: float | None) -> 
     if not isinstance(peak, Peak):
         return Rejected(number, peak.reason, held_width=held_width)
     sharpest = min(good, key=lambda f: (abs((f.focus or 0) - peak.lens_position), f.frame))
-    assert sharpest.centre_px is not None
     return Measurement(
         sweep=number,
         t_ns=sharpest.t_ns,
@@ -227,16 +275,22 @@ def peak_of(number: int, good: Sequence[Sighting], held_width: float | None) -> 
         sigma=math.hypot(peak.sigma, phase_sigma(peak.width, sharpest.area_px or 1.0)),
         width=peak.width,
         held_width=held_width,
-        outline=Outline(
-            sharpest.centre_px,
-            sharpest.radius_px,
-            sharpest.score,
-            sharpest.focus,
-            sharpest.size_px,
-            sharpest.radius_sigma_px,
-        ),
+        outline=outline_of(sharpest),
         quality=peak.quality,
+        pace=pace_of(good),
     )
+
+
+def pace_of(frames: Sequence[Sighting]) -> float:
+    """How fast the lens went on the whole in the frames of a sweep, positions a second."""
+    seconds = 1e-9 * (frames[-1].t_ns - frames[0].t_ns)
+    return ((frames[-1].focus or 0) - (frames[0].focus or 0)) / seconds if seconds > 0.0 else 0.0
+
+
+def outline_of(seen: Sighting) -> Outline:
+    """What a frame with the target in it shows of that."""
+    assert seen.centre_px is not None
+    return Outline(seen.centre_px, seen.radius_px, seen.score, seen.focus, seen.size_px, seen.radius_sigma_px)
 
 
 def how_moved(frames: Sequence[Sighting], tilts_deg: Sequence[tuple[float, float]]) -> str | None:

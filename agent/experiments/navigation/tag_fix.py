@@ -60,10 +60,10 @@ def fixes(seed: int, places: int = PLACES) -> list[Row]:
     calibration = robot.calibrate()
     robot.submerge("tap", (), true_tags(fleet.landmarks, seed))
     rng = generator(seed, "fixes")
-    rest = round(lens_position(calibration.focus, REST_M))
+    rest = round(lens_position(calibration.swept, REST_M))
     rows = []
     for stand in stands(robot, fleet, calibration, places, rng):
-        for wanted in (rest, int(rng.integers(calibration.focus.lowest, calibration.focus.highest + 1))):
+        for wanted in (rest, int(rng.integers(calibration.swept.lowest, calibration.swept.highest + 1))):
             lens = robot.set_focus(wanted)
             found = find_tags(robot.read(settle_s=FIX_SETTLE_S).image, at_lens_position(calibration.camera, lens))
             row = judged(found, lens, stand, fleet, calibration, known, rng)
@@ -100,7 +100,7 @@ def judged(
     start = stand.x_m + float(off[0]), stand.y_m + float(off[1]), wrap(stand.yaw + float(off[2]))
     of = view(calibration.camera, fleet.body, TANK.surface_m, lens)
     before = priors(stand.level, stand.gimbal_deg, 0.0, turning=False)
-    tags = readable([one.seen for one in found], known.landmarks.size_m, calibration.focus, lens)
+    tags = readable([one.seen for one in found], known.landmarks.size_m, calibration.swept, lens)
     fix = tag_fix(of, before, known, tags, start)
     blurs = [one.blur_px for one in found if one.blur_px is not None]
     row: Row = {"blur_px": float(np.median(blurs)) if blurs else None}

@@ -6,6 +6,7 @@ Thin lens: an object at apparent distance s (metres of air) is sharp where the v
 from __future__ import annotations
 
 import math
+from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -57,6 +58,7 @@ class Preset(NamedTuple):
     pixel_m: float
     width: int
     height: int
+    fixed_dioptre: float | None = None  # where a lens is sharp that cannot be moved
 
 
 PRESETS = {
@@ -66,6 +68,9 @@ PRESETS = {
     "binned_640": Preset(3.6e-3, 2.4, 4 * 1.4e-6, 640, 480),
     # The same sensor binned 2x2 behind a faster lens: 1714 px, 41 degrees; twice the blur in pixels.
     "crop_1280": Preset(3.6e-3, 2.0, 2 * 1.4e-6, 1280, 960),
+    # A webcam of fixed focus, like Logitech's C270: 2.8 um pixels binned 2x2, 952 px, 37 degrees; sharp from 0.4 m of
+    # air to infinity, hence set to 0.8 m.
+    "fixed_640": Preset(4.0e-3, 2.8, 2 * 2.8e-6, 640, 480, fixed_dioptre=1.25),
 }
 
 HIGHEST = 1023  # ten-bit driver
@@ -83,7 +88,7 @@ def draw_lens(preset: str, rng: np.random.Generator) -> Lens:
     focal_m = nominal.focal_m * rng.uniform(0.99, 1.01)
     rest_dioptre = FAR + rng.uniform(-0.15, 0.15)  # modules are set on a collimator, hence relative to their own f
     travel_m = 1 / (1 / nominal.focal_m - NEAR) - 1 / (1 / nominal.focal_m - FAR)
-    return Lens(
+    lens = Lens(
         focal_m=focal_m,
         f_number=nominal.f_number,
         pixel_m=nominal.pixel_m,
@@ -105,55 +110,78 @@ def draw_lens(preset: str, rng: np.random.Generator) -> Lens:
         drift_m=rng.normal(0, 0.1e-6),
         drift_s=600.0,
     )
+    if nominal.fixed_dioptre is None:
+        return lens
+    set_to = nominal.fixed_dioptre + (rest_dioptre - FAR)  # screwed in and glued
+    at_m = 1 / (1 / focal_m - set_to)
+    return lens._replace(at_rest_m=at_m, highest=0, hysteresis=0.0, jitter_m=0.0, sag_m=0.0, drift_m=0.0)
+
+
+class Leg(NamedTuple):
+    """The lens's motion from one command to the next."""
+
+    since_ns: int
+    held: float  # lens position behind the play, where the spring comes to rest
+    offset: float  # from there, lens positions
+    speed: float  # lens positions/s
+    jitter_m: float
+
+
+LEGS = 32  # that are remembered: a frame may be of a moment before the newest commands
 
 
 class Vcm:
     """The moving lens: play, then a damped spring, then what no command controls (jitter, sag, drift).
 
-    Between commands the motion is solved in closed form, so it does not depend on when it is asked for.
+    Between commands the motion is solved in closed form, so it does not depend on when it is asked for. A slow lens has
+    gone 95 % of its way after slow_s, and does not swing.
     """
 
-    def __init__(self, lens: Lens, rng: np.random.Generator) -> None:
+    def __init__(self, lens: Lens, rng: np.random.Generator, slow_s: float = 0.0) -> None:
         self._lens = lens
         self._rng = rng
-        self._held = float(lens.lowest)  # lens position behind the play, where the spring comes to rest
-        self._offset, self._speed = 0.0, 0.0  # from there, lens positions and lens positions/s, at _since_ns
-        self._since_ns: int | None = None
+        self._decay = 3.0 / slow_s if slow_s else 0.0  # 1/s, of a slow lens
+        self._legs: deque[Leg] = deque(maxlen=LEGS)
         self._start_ns = 0
-        self._jitter_m = 0.0
 
     def command(self, lens_position: int, t_ns: int) -> int:
         """Set the coil's current; returns the lens position that the driver reports, clamped to its range."""
-        lens = self._lens
+        lens, before = self._lens, self._leg(t_ns)
         reported = min(max(int(lens_position), lens.lowest), lens.highest)
-        offset, speed = self._motion(t_ns)
-        here = self._held + offset
-        self._held = min(max(self._held, reported - lens.hysteresis), reported + lens.hysteresis)
-        self._offset, self._speed, self._since_ns = here - self._held, speed, t_ns
-        self._jitter_m = self._rng.normal(0, lens.jitter_m)
+        offset, speed = self._motion(before, t_ns)
+        held = min(max(before.held, reported - lens.hysteresis), reported + lens.hysteresis)
+        jitter_m = self._rng.normal(0, lens.jitter_m)
+        self._legs.append(Leg(t_ns, held, before.held + offset - held, speed, jitter_m))
         return reported
 
     def image_distance_m(self, t_ns: int, tilt_rad: float) -> float:
-        """Lens to sensor at `t_ns`, the camera tilted up by `tilt_rad`. Ask in order of time."""
-        lens = self._lens
-        offset, _ = self._motion(t_ns)
-        warm = 1 - math.exp(-(t_ns - self._start_ns) * 1e-9 / lens.drift_s)
+        """Lens to sensor at `t_ns`, the camera tilted up by `tilt_rad`."""
+        lens, leg = self._lens, self._leg(t_ns)
+        offset, _ = self._motion(leg, t_ns)
+        warm = 1 - math.exp(-max(t_ns - self._start_ns, 0) * 1e-9 / lens.drift_s)
         return (
-            lens.at_position_m(self._held + offset)
-            + self._jitter_m
+            lens.at_position_m(leg.held + offset)
+            + leg.jitter_m
             - lens.sag_m * math.sin(tilt_rad)  # looking up, the lens sinks towards the sensor
             + lens.drift_m * warm
         )
 
-    def _motion(self, t_ns: int) -> tuple[float, float]:
-        """Free oscillation since the last command: offset from rest and speed."""
-        if self._since_ns is None:
-            self._since_ns = self._start_ns = t_ns
-        t = max(t_ns - self._since_ns, 0) * 1e-9
+    def _leg(self, t_ns: int) -> Leg:
+        """What moves the lens at t_ns; before all that is remembered, the oldest."""
+        if not self._legs:
+            self._start_ns = t_ns
+            self._legs.append(Leg(t_ns, float(self._lens.lowest), 0.0, 0.0, 0.0))
+        return next((leg for leg in reversed(self._legs) if leg.since_ns <= t_ns), self._legs[0])
+
+    def _motion(self, leg: Leg, t_ns: int) -> tuple[float, float]:
+        """Free oscillation since the leg's command: offset from rest and speed."""
+        t = max(t_ns - leg.since_ns, 0) * 1e-9
+        if self._decay:
+            return leg.offset * math.exp(-self._decay * t), 0.0
         omega = 2 * math.pi * self._lens.frequency_hz
         decay = self._lens.damping * omega
         ring = omega * math.sqrt(1 - self._lens.damping**2)
-        a, b = self._offset, (self._speed + decay * self._offset) / ring
+        a, b = leg.offset, (leg.speed + decay * leg.offset) / ring
         cos, sin, fade = math.cos(ring * t), math.sin(ring * t), math.exp(-decay * t)
         offset = fade * (a * cos + b * sin)
         speed = fade * ((ring * b - decay * a) * cos - (ring * a + decay * b) * sin)

@@ -524,3 +524,17 @@ def test_a_lens_that_looks_down_is_trusted_less():
     sag_m = slope * UNKNOWN_SAG * SIZE_CUE_FOCUS.width * math.sin(0.6)
     assert down.systematic_m2 - level.systematic_m2 == pytest.approx(sag_m**2, rel=1e-6)
     assert down.distance_m == level.distance_m and np.isfinite(down.random_m2)
+
+
+def test_of_a_fixed_focus_a_ball_is_ranged_by_its_size_and_a_thing_in_a_box_by_its_length_or_not_at_all() -> None:
+    fixed, here = replace(KNOWN, focus=None), eye()
+    ball = Outline((320.0, 240.0), 120.0, 1.0, None)
+    assert locate(fixed, here, ball, None, 0.0, BALL) == locate(KNOWN, here, ball, 400.0, 1.0, BALL, "size")
+    box = Outline((320.0, 240.0), None, 1.0, None, (117.0, 60.0))
+    known = distance(fixed, box, None, 0.0, Target(detector="box", length_m=0.05), "both", 0.0)
+    assert known.distance_m == pytest.approx(0.05 * at_lens_position(CAMERA, None).f_px / 117.0)
+    unknown = locate(fixed, here, box, None, 0.0, Target(detector="box"))
+    along = apply(here.rotation, (0.0, 0.0, 1.0))
+    stays = full(unknown.systematic_m2)
+    assert math.sqrt(along @ stays @ np.array(along)) == pytest.approx(fix.FARTHEST_M / math.sqrt(12.0), rel=0.01)
+    assert math.sqrt(np.linalg.eigvalsh(stays + full(unknown.random_m2))[1]) < 0.05  # across the ray it is known

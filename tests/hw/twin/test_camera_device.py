@@ -36,11 +36,11 @@ class Notebook:
         return 0.004
 
 
-def camera(history, now_ns, notebook=None):
+def camera(history, now_ns, notebook=None, late_ns=0):
     notebook = notebook or Notebook()
     lens = draw_lens("imx519_640", np.random.default_rng(0))
     seen = (history, lens, notebook, notebook, (0.1, 0.0, 0.0), Stage((), ()))
-    return DiveCamera(0, *seen, FrameClock(START_NS), now_ns), notebook
+    return DiveCamera(0, *seen, FrameClock(START_NS), now_ns, late_ns=late_ns), notebook
 
 
 def test_the_frame_is_the_first_exposed_after_the_request():
@@ -60,6 +60,14 @@ def test_the_lens_is_given_its_time_to_settle():
     assert frame.t_ns - EXPOSURE_NS // 2 >= START_NS + 5 * FRAME_NS + 50_000_000
     assert frame.seq == 7
     assert frame.roi == (8, 16, 32, 64)
+
+
+def test_late_stamps_pass_a_frame_for_one_that_was_exposed_later():
+    source, notebook = camera(filled(100), lambda: START_NS + 5 * FRAME_NS, late_ns=100_000_000)
+    source.set_focus(300)
+    frame = source.read(None, 0.05)
+    assert frame.t_ns - EXPOSURE_NS // 2 >= START_NS + 5 * FRAME_NS + 50_000_000
+    assert notebook.asked[0][0] == frame.t_ns - 100_000_000  # what it shows, which is before the lens was told
 
 
 def test_the_eye_is_at_the_pivot_and_looks_where_the_gimbal_points():

@@ -23,7 +23,7 @@ def test_draws_repeat_and_differ_between_robots():
     assert lens_of("r1") != lens_of("r2")
 
 
-@pytest.mark.parametrize("preset", PRESETS)
+@pytest.mark.parametrize("preset", [name for name, preset in PRESETS.items() if preset.fixed_dioptre is None])
 def test_travel_reaches_past_infinity_and_to_a_hand_s_breadth(preset):
     for seed in range(20):
         lens = draw_lens(preset, generator(seed, "r1", "lens"))
@@ -111,3 +111,21 @@ def test_gravity_pulls_a_raised_lens_to_the_sensor_and_warmth_moves_it():
     assert up - level == pytest.approx(-lens.sag_m)
     warm = vcm.image_distance_m(int(lens.drift_s * 10 * 1e9), 0.0)
     assert warm - level == pytest.approx(lens.drift_m, rel=0.01)
+
+
+def test_a_fixed_lens_stays_where_it_was_set():
+    lens = draw_lens("fixed_640", generator(0, "r1", "lens"))
+    coil = vcm_of(lens)
+    assert coil.command(500, 0) == lens.highest == 0
+    assert coil.image_distance_m(10**12, 0.3) == lens.at_rest_m
+    assert 1.0 < 1 / lens.focal_m - 1 / lens.at_rest_m < 1.5  # dioptres
+
+
+def test_a_slow_lens_goes_95_percent_of_its_way_in_its_time_and_a_late_frame_shows_where_it_was():
+    lens = lens_of(hysteresis=0.0, jitter_m=0.0, sag_m=0.0, drift_m=0.0)
+    slow = Vcm(lens, generator(0, "r1", "vcm"), slow_s=0.3)
+    slow.command(200, 0)
+    slow.command(400, 10**10)
+    share = [(slow.image_distance_m(10**10 + t_ns, 0.0) - lens.at_position_m(200)) for t_ns in (-1, 0, 3 * 10**8)]
+    assert share[:2] == pytest.approx([0.0, 0.0], abs=1e-12)
+    assert share[2] / (200 * lens.per_position_m) == pytest.approx(0.95, abs=0.001)
