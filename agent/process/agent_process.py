@@ -56,13 +56,8 @@ from agent.process.keys import RobotKeys, Sign, robot_keys, unsigned
 from agent.process.transport import Transport, fleet_clock
 from agent.robot.fleet_reader import load_fleet, load_robot, with_behaviour
 from agent.robot.step import Agent
-<<<<<<< HEAD
 from hw.camera import known_scheme, open_camera
-from hw.camera.camera import Frame
-=======
 from hw.camera.camera import Camera, CameraError, Frame
-from hw.camera.open import known_scheme, open_camera
->>>>>>> camtime
 from hw.stm32.driver import Motors, Stm32, open_port_path
 from hw.twin.twin_folder import twin_dir
 from replay.files.info import RateNotes
@@ -372,13 +367,7 @@ class AgentProcess:
         swims, known = fleet.navigation, self._setup.calibration
         self._landmarks = LandmarkWatch(known.camera, known.focus, swims.follow_hz) if swims else None
         self._eyes = Vision(
-<<<<<<< HEAD
-            lambda: open_camera(
-                self._setup.robot.camera, self._sockets, self._size, self._clock, fleet.camera.mains_hz
-            ),
-=======
             self._open_camera,
->>>>>>> camtime
             fleet,
             self._setup.calibration.camera,
             self._setup.detectors,
@@ -394,7 +383,9 @@ class AgentProcess:
 
     def _open_camera(self) -> Camera:
         """Raises CameraError where there is none, and for one whose lens is nowhere if nothing sets it."""
-        camera = open_camera(self._setup.robot.camera, self._sockets, self._size, self._clock)
+        camera = open_camera(
+            self._setup.robot.camera, self._sockets, self._size, self._clock, self._setup.fleet.camera.mains_hz
+        )
         if self._setup.calibration.focus is None and movable(camera) is not None:
             camera.close()
             raise CameraError(

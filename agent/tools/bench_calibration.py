@@ -35,12 +35,8 @@ from agent.process.command import Progress, Show, temporary_folder, with_bar, wi
 from agent.process.launch import crew, wait_for
 from agent.robot.fleet_reader import load_fleet, load_robot
 from agent.tools.camera_calibration import Corner, fit_camera
-<<<<<<< HEAD
-from agent.tools.focus_calibration import FocusRow, fit_focus
-from hw.camera import open_camera
-=======
 from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus
->>>>>>> camtime
+from hw.camera import open_camera
 from hw.camera.camera import Camera, FocusRange, Roi
 from hw.stm32.driver import Stm32, open_port_path
 from hw.twin.calibration_bench import BenchClient
