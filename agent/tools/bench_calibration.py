@@ -73,16 +73,16 @@ def calibrate(
     limits, focus, timing = movable(camera), None, TimingFit()
     if limits is not None and wait is not None:
         timing = measure_timing(fleet, camera, limits, place, wait)
-    camera = TimedCamera(camera, timing, (lambda: 0) if wait is None else (lambda: wait(0.0)))
+    timed = TimedCamera(camera, timing, (lambda: 0) if wait is None else (lambda: wait(0.0)))
     if limits is not None:
-        focus = fit_focus(focus_rows(fleet, camera, limits, place, lambda done, _: progress(done, SETTINGS)))
+        focus = fit_focus(focus_rows(fleet, timed, limits, place, lambda done, _: progress(done, SETTINGS)))
     corners: list[Corner] = []
-    for done, view in enumerate(views(fleet, camera, focus, place), start=DISTANCES):
+    for done, view in enumerate(views(fleet, timed, focus, place), start=DISTANCES):
         corners += view
         progress(done + 1, SETTINGS)
     seen = fit_camera(corners, fleet.body, camera.size)
     if focus is not None and limits is not None:
-        tilted = tilted_peaks(fleet, camera, limits, seen, place, lambda done, _: progress(LOOKS + done, SETTINGS))
+        tilted = tilted_peaks(fleet, timed, limits, seen, place, lambda done, _: progress(LOOKS + done, SETTINGS))
         focus = with_sag(focus, tilted)
     centre_us = round(fleet.body.servo_centre_us)
     place(None, (centre_us, centre_us))
