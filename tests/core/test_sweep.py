@@ -282,7 +282,7 @@ def test_the_other_end_where_smaller_positions_are_nearer() -> None:
 def test_peaks_that_lie_farther_on_the_faster_the_lens_went_contradict_the_timing(late_s: float, told: bool) -> None:
     fit = replace(FIT, width=118.0)  # as of most lenses: a step of a tracking sweep is longer than one of a full sweep
     sweep, late = Sweep(fit, 30), LateFrames()
-    for _ in range(4):  # a full one and three of tracking
+    for _ in range(6):  # a full one and five of tracking
         plan = sweep.start(0)
         pace = (plan.focus[-1] - plan.focus[1]) / (0.1 * (len(plan.focus) - 2))
         assert late.late_s() is None

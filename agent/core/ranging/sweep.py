@@ -39,7 +39,7 @@ FAILURES_BEFORE_FULL = 2  # tracking sweeps in a row without a peak
 FEWEST_STEPS = 8  # of a full sweep that was halved: nine tenths of a peak's half width from one to the next
 FAILURES_BEFORE_PAUSE = 3  # full sweeps in a row without a peak
 PAUSE_NS = 2_000_000_000
-TRACKED = 3  # tracking sweeps around a full one, by which timing is judged
+TRACKED = 5  # tracking sweeps around a full one, by which timing is judged
 TOGETHER_NS = 20_000_000_000  # how far from it they may be: a target at rest is moved now and then
 LOST = 6  # sweeps without a peak of what one found: the lens is not where it is said
 LATE_SIGMAS, LATE_S = 5.0, 0.02  # beyond which it is wrong; less lateness goes by while a frame waits for the lens
@@ -66,6 +66,7 @@ class Paced(NamedTuple):
     t_ns: int
     lens_position: float
     sigma: float
+    noise: float  # of any peak, by the calibration
     pace: float
 
 
@@ -239,7 +240,7 @@ class LateFrames(Revertible):
             return
         if peak.lens_position is None:
             return
-        paced = Paced(peak.t_ns, peak.lens_position, max(peak.sigma, noise), peak.pace)
+        paced = Paced(peak.t_ns, peak.lens_position, max(peak.sigma, noise), noise, peak.pace)
         if peak.held_width is None:
             self._full = paced
             self._tracking = [each for each in self._tracking[-TRACKED:] if peak.t_ns - each.t_ns < TOGETHER_NS]
@@ -265,8 +266,11 @@ class LateFrames(Revertible):
         pace = full.pace - sum(each.pace for each in self._tracking) / n
         if not pace:
             return None
-        late = (full.lens_position - sum(each.lens_position for each in self._tracking) / n) / pace
-        sigma = math.hypot(full.sigma, math.sqrt(sum(each.sigma**2 for each in self._tracking)) / n) / abs(pace)
+        mean = sum(each.lens_position for each in self._tracking) / n
+        # By how they scatter: a lens on its way at the start of a sweep makes each of them less sure than they all are.
+        scatter = math.sqrt(sum((each.lens_position - mean) ** 2 for each in self._tracking) / (n - 1))
+        late = (full.lens_position - mean) / pace
+        sigma = math.hypot(full.sigma, max(scatter, full.noise) / math.sqrt(n)) / abs(pace)
         return (late, sigma) if abs(late) > max(LATE_SIGMAS * sigma, LATE_S) else None
 
 
