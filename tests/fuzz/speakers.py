@@ -402,7 +402,7 @@ def _bench_line(rng: Random) -> bytes:
 
 
 def _bench(data: bytes) -> None:
-    json.dumps(_answer(cast(Any, SimpleNamespace(place=lambda board_m, servo_us: None)), data))
+    json.dumps(_answer(cast(Any, SimpleNamespace(place=lambda board_m, servo_us: None, wait=lambda seconds: 0)), data))
 
 
 def _datagram(rng: Random) -> bytes:
