@@ -201,8 +201,9 @@ CLAIM = Claim(
     explanation="""Each seed is one dive of `aucamp demo`: robots calibrate their cameras, then find the target and
         agree about it, as processes that talk over real links; water, cameras and bodies are the twin's. A dive ends
         when the robots have settled, or after two minutes of its own clock. What counts of a dive is its worst
-        robot. In `fixed` cameras have a fixed focus: what is lost is what a sweep adds to the size of a ball, which own
-        measurements and sigma show beside those of `tank`, and of a thing of unknown size all range: a bearing is left,
-        and where two robots' bearings meet is its place. In `late` and `stale` each seed takes the next pair of stamps
-        late by 0, 60 or 120 ms and lenses that take 50, 150 or 300 ms to come to rest; nine seeds have all.""",
+        robot. In `fixed` cameras have a fixed focus. Of a ball whose radius is known
+        that loses nothing: own measurements and sigma of `fixed` and of `tank` stand below. What is lost is the second
+        cue, which tells of a wrong radius, and all range of a thing of unknown size: 0.6 m give or take 0.35 m is left
+        of it, a bearing. In `late` and `stale` each seed takes the next pair of stamps late by 0, 60 or 120 ms and
+        lenses that take 50, 150 or 300 ms to come to rest; nine seeds have all.""",
 )

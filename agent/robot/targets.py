@@ -41,7 +41,7 @@ from agent.core.trust import common
 from agent.robot.target_search import TargetScheduler, TargetSearch
 
 FIXED_FOCUS = "the camera's focus is fixed: ranges are by the size of targets, nothing is swept"
-TIMING = "camera timing: by sweeps frames show the lens {:.0f} ms (+-{:.0f}) later than calibrated: run calibrate again"
+TIMING = "camera timing: {}; run `aucamp calibrate run` again"
 LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods
 
 
@@ -119,6 +119,7 @@ class Targets(Revertible):
         """A sweep that ended counts as soon as its light is known not to have changed."""
         if isinstance(result, Rejected):
             self._light.failed(now_ns)
+            self._time(result)
             return result
         if result is not None:
             self._judged = result
@@ -161,7 +162,7 @@ class Targets(Revertible):
         ratio = cue_ratio(self._calibration, outline, peak.lens_position, sigma, self.current.ball, eye.tilt_rad)
         self.current.consistency.sweep(ratio, refused, now_ns)
 
-    def _time(self, peak: Measurement) -> None:
+    def _time(self, peak: Measurement | Rejected) -> None:
         """Take note of what the sweep says of the camera's timing, where nothing moves."""
         focus, target = self._calibration.focus, self.current
         if focus is not None and not self._source.moves and target.ball.speed_m_s is None:
@@ -202,8 +203,8 @@ class Targets(Revertible):
         """Targets whose belief cannot be trusted, and why; and a camera whose timing is not that of its calibration."""
         told = ((name, *each.consistency.verdict(now_ns)) for name, each in self.all.items())
         doubts = tuple(f"{word}: {name}: {causes[0]}" for name, word, causes in told if causes)
-        late = next((late for each in self._late.values() if (late := each.late_s()) is not None), None)
-        return doubts if late is None else (*doubts, TIMING.format(1e3 * late[0], 1e3 * late[1]))
+        late = next((late for each in self._late.values() if (late := each.contradiction()) is not None), None)
+        return doubts if late is None else (*doubts, TIMING.format(late))
 
     # --- iterations -------------------------------------------------------------------------------------------
 

@@ -6,6 +6,7 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.ranging.sweep import (
+    LOST,
     TRACK_STEPS,
     LateFrames,
     Measurement,
@@ -281,7 +282,7 @@ def test_the_other_end_where_smaller_positions_are_nearer() -> None:
 def test_peaks_that_lie_farther_on_the_faster_the_lens_went_contradict_the_timing(late_s: float, told: bool) -> None:
     fit = replace(FIT, width=118.0)  # as of most lenses: a step of a tracking sweep is longer than one of a full sweep
     sweep, late = Sweep(fit, 30), LateFrames()
-    for _ in range(4):  # a full one and three of tracking
+    for _ in range(6):  # a full one and five of tracking
         plan = sweep.start(0)
         pace = (plan.focus[-1] - plan.focus[1]) / (0.1 * (len(plan.focus) - 2))
         assert late.late_s() is None
@@ -294,3 +295,23 @@ def test_peaks_that_lie_farther_on_the_faster_the_lens_went_contradict_the_timin
     assert (late.late_s() is not None) == told
     if told:
         assert late.late_s()[0] == pytest.approx(late_s, abs=0.01)
+
+
+def test_a_peak_that_later_sweeps_do_not_find_again_contradicts_the_timing_too() -> None:
+    sweep, late = Sweep(FIT, 30), LateFrames()
+
+    def one(**changes) -> Measurement | Rejected:
+        frames(sweep, sweep.start(0), 431.0, **changes)
+        result = sweep.finish(S)
+        late.add(result, FIT.noise)
+        return result
+
+    assert isinstance(one(), Measurement)
+    one(found=False)  # not in view: that says nothing
+    for _ in range(LOST):
+        assert late.contradiction() is None
+        assert isinstance(one(clarity=50.0), Rejected)
+    assert "did not find again" in late.contradiction()
+    one()
+    one()  # a tracking sweep
+    assert late.contradiction() is None

@@ -39,7 +39,9 @@ FAILURES_BEFORE_FULL = 2  # tracking sweeps in a row without a peak
 FEWEST_STEPS = 8  # of a full sweep that was halved: nine tenths of a peak's half width from one to the next
 FAILURES_BEFORE_PAUSE = 3  # full sweeps in a row without a peak
 PAUSE_NS = 2_000_000_000
-TRACKED = 3  # tracking sweeps after a full one, by which timing is judged
+TRACKED = 5  # tracking sweeps around a full one, by which timing is judged
+TOGETHER_NS = 20_000_000_000  # how far from it they may be: a target at rest is moved now and then
+LOST = 6  # sweeps without a peak of what one found: the lens is not where it is said
 LATE_SIGMAS, LATE_S = 5.0, 0.02  # beyond which it is wrong; less lateness goes by while a frame waits for the lens
 
 
@@ -61,8 +63,10 @@ class Measurement(NamedTuple):
 class Paced(NamedTuple):
     """The peak of one sweep, and how fast the lens went: lens positions, a second."""
 
+    t_ns: int
     lens_position: float
     sigma: float
+    noise: float  # of any peak, by the calibration
     pace: float
 
 
@@ -73,6 +77,7 @@ class Rejected(NamedTuple):
     reason: str
     too_long: bool = False  # target or robot moved, or frames came slowly: fewer positions may succeed
     held_width: float | None = None  # as of a measurement, where a fit was made
+    no_peak: bool = False  # the target was in view, and its clarity has no peak
 
 
 class ByLight(NamedTuple):
@@ -225,17 +230,32 @@ class LateFrames(Revertible):
 
     def __init__(self) -> None:
         self._full: Paced | None = None
-        self._tracking: list[Paced] = []  # since that full one
+        self._tracking: list[Paced] = []  # before that full one, or after it
+        self._lost = 0  # sweeps of a target in view without a peak, since a tracking one had one
 
-    def add(self, peak: Measurement, noise: float) -> None:
+    def add(self, peak: Measurement | Rejected, noise: float) -> None:
         """Take note of a sweep. noise: of one peak, by the calibration, lens positions."""
+        if isinstance(peak, Rejected):
+            self._lost += peak.no_peak
+            return
         if peak.lens_position is None:
             return
-        paced = Paced(peak.lens_position, max(peak.sigma, noise), peak.pace)
+        paced = Paced(peak.t_ns, peak.lens_position, max(peak.sigma, noise), noise, peak.pace)
         if peak.held_width is None:
-            self._full, self._tracking = paced, []
-        elif self._full is not None and len(self._tracking) < TRACKED:
-            self._tracking.append(paced)
+            self._full = paced
+            self._tracking = [each for each in self._tracking[-TRACKED:] if peak.t_ns - each.t_ns < TOGETHER_NS]
+            return
+        self._lost = 0
+        near = self._full is None or paced.t_ns - self._full.t_ns < TOGETHER_NS
+        if near and (self._full is None or len(self._tracking) < TRACKED):
+            self._tracking = [*self._tracking[1 - TRACKED :], paced]
+
+    def contradiction(self) -> str | None:
+        """What sweeps say against the calibration; None: nothing."""
+        if self._full is not None and self._lost >= LOST:
+            return f"{self._lost} sweeps did not find again the peak that one found"
+        late = self.late_s()
+        return late and f"sweeps show the lens {1e3 * late[0]:.0f} ms (+-{1e3 * late[1]:.0f}) later than calibrated"
 
     def late_s(self) -> tuple[float, float] | None:
         """By how much frames are later than believed, and its standard deviation; None where sweeps agree, or it is not
@@ -246,8 +266,11 @@ class LateFrames(Revertible):
         pace = full.pace - sum(each.pace for each in self._tracking) / n
         if not pace:
             return None
-        late = (full.lens_position - sum(each.lens_position for each in self._tracking) / n) / pace
-        sigma = math.hypot(full.sigma, math.sqrt(sum(each.sigma**2 for each in self._tracking)) / n) / abs(pace)
+        mean = sum(each.lens_position for each in self._tracking) / n
+        # By how they scatter: a lens on its way at the start of a sweep makes each of them less sure than they all are.
+        scatter = math.sqrt(sum((each.lens_position - mean) ** 2 for each in self._tracking) / (n - 1))
+        late = (full.lens_position - mean) / pace
+        sigma = math.hypot(full.sigma, max(scatter, full.noise) / math.sqrt(n)) / abs(pace)
         return (late, sigma) if abs(late) > max(LATE_SIGMAS * sigma, LATE_S) else None
 
 
@@ -266,7 +289,7 @@ def peak_of(number: int, good: Sequence[Sighting], held_width: float | None) -> 
     """What usable frames measure; `held_width`: of the peak that a tracking sweep follows, None: it is free."""
     peak = fit_peak([float(f.focus or 0) for f in good], [f.clarity or 0.0 for f in good], held_width)
     if not isinstance(peak, Peak):
-        return Rejected(number, peak.reason, held_width=held_width)
+        return Rejected(number, peak.reason, held_width=held_width, no_peak=True)
     sharpest = min(good, key=lambda f: (abs((f.focus or 0) - peak.lens_position), f.frame))
     return Measurement(
         sweep=number,
