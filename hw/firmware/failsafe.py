@@ -4,16 +4,14 @@ from micropython import const
 
 OK, HOLD, SURFACE, DISARM, LATCHED = 0, 1, 2, 3, 4
 
-HOLD_AFTER_US = 500000  # 10 lost set-points at 20 Hz
+_HOLD_AFTER_US = const(500000)  # 10 lost set-points at 20 Hz
 _SURFACE_AFTER_US = const(3000000)  # as ArduSub's pilot input
 _DISARM_AFTER_US = const(30000000)  # of surfacing without reaching the surface: it is held fast, or out of power
 _SURFACED_100nm = const(1000000)  # 10 cm
 _SURFACED_FOR_US = const(2000000)
-AFLOAT_100nm = 800000  # where surfacing ends: a hull lifted out of the water would plunge when the motors stop
 _TILT_100nrad = const(7850000)  # 45 degrees
 _TILT_FOR_US = const(2000000)
 _BATTERY_FOR_US = const(2000000)  # sag under a burst of thrust is not an empty battery
-ASCENT_MM_S = 70
 
 _ARM_TILT_100nrad = const(3490000)  # 20 degrees
 _ARM_PARITY_100nm = const(50000)  # 5 mm
@@ -30,7 +28,7 @@ _CROSSED_SHOWS = const(14)
 
 # Indices of wire.REASONS
 _NONE = const(0)
-ORDER = 1
+_ORDER = const(1)
 _SILENT = const(2)
 _LEAK = const(3)
 _BATTERY = const(4)
@@ -39,8 +37,6 @@ _SURFACED = const(6)
 _STUCK = const(7)
 _TILTED = const(8)
 _TWO_BAD = const(9)
-STOP, PARAMETERS, WATCHDOG, FAULT = 10, 11, 12, 13
-KILLED = 14
 _NOT_HOLDING = const(15)
 _OVERTURNED = const(16)
 _CONTRADICTED = const(17)
@@ -56,9 +52,8 @@ _OVER_100nrad = const(12200000)  # 70 degrees: what goes over passes here, for t
 _OVER_FOR_US = const(30000)
 _PLANE_100nm = const(200000)  # four sensors in a plane within 2 cm, or no tilt is believed
 _USELESS_100nm = const(2000000)  # 20 cm out of it: nobody knows how the robot lies
-_MOMENT_uNm = const(
-    150000
-)  # that it takes to hold a robot level: badly trimmed, or a thruster works against it, or not level
+# The moment that it takes to hold a robot level: it is badly trimmed, a thruster works against it, or it is not level.
+_MOMENT_uNm = const(150000)
 
 
 class Ladder:
@@ -72,7 +67,7 @@ class Ladder:
 
     def found(self):
         """Whether it surfaces for something that the board found, and no host's silence nor order."""
-        return self.level >= SURFACE and self.reason != _SILENT and self.reason != ORDER
+        return self.level >= SURFACE and self.reason != _SILENT and self.reason != _ORDER
 
     def resume(self):
         """Go back to normal, by order. False where only a reboot helps."""
@@ -130,7 +125,7 @@ class Ladder:
             self._climb(SURFACE, _NOT_HOLDING)
         elif age_us > _SURFACE_AFTER_US:
             self._climb(SURFACE, _SILENT)
-        elif age_us > min(HOLD_AFTER_US, ttl_us):
+        elif age_us > min(_HOLD_AFTER_US, ttl_us):
             self._climb(HOLD, _SILENT)
         else:
             self._climb(OK, _NONE)
@@ -243,7 +238,7 @@ def arm_faults(
         battery_low,
         leak,
         not neutral,
-        age_us > HOLD_AFTER_US,
+        age_us > _HOLD_AFTER_US,
         esc_us < _ESC_NEUTRAL_US,
         ladder.level == LATCHED,
         loop_max_us >= _LOOP_LIMIT_US,

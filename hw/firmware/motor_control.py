@@ -14,7 +14,13 @@ _HOLD = const(0)
 _STABILISE = const(1)
 _BENCH = const(3)
 
-_SENSOR_HALF_MM = const(130)  # sensors sit at (+-130, +-130) mm
+# Indices of wire.REASONS
+_ORDER = const(1)
+_FAULT = const(13)
+_KILLED = const(14)
+
+_ASCENT_MM_S = const(70)
+_AFLOAT_100nm = const(800000)  # where surfacing ends: a hull lifted out of the water would plunge when motors stop
 _BATTERY_TICKS = const(100)  # thrust goes with a voltage smoothed over these: a probe's noise is not a battery's
 _STEEPEST_100nrad = const(7850000)  # net weight is carried along the robot's own axis up to this tilt
 _NEVER_US = const(1 << 29)  # an age that is past every limit and fits the board's 31 bit integers
@@ -68,7 +74,7 @@ class Control:
         self.state = _DISARMED
         self.mode = _HOLD
         self.bench_thruster = 0  # 1-8: turns in mode BENCH; 0: none
-        self.plane = pressure.Plane(_PA_PER_M, _SENSOR_HALF_MM, _SENSOR_HALF_MM)
+        self.plane = pressure.Plane(_PA_PER_M)
         self.ladder = failsafe.Ladder()
         self.set_point = SetPoint()
         self.neutral_us = [thrust.NEUTRAL_US] * 8
@@ -154,7 +160,7 @@ class Control:
             return False
         self.esc_us = 0
         if self.killed:
-            self.ladder.give_up(failsafe.KILLED)
+            self.ladder.give_up(_KILLED)
             self.disarm()
             return True
         if self._owed:
@@ -176,8 +182,8 @@ class Control:
         if level == failsafe.SURFACE:
             if before != level:
                 self.set_point.depth_100nm = self.plane.depth_100nm
-            rise_100nm = failsafe.ASCENT_MM_S * dt_us // 100
-            self.set_point.depth_100nm = max(failsafe.AFLOAT_100nm, self.set_point.depth_100nm - rise_100nm)
+            rise_100nm = _ASCENT_MM_S * dt_us // 100
+            self.set_point.depth_100nm = max(_AFLOAT_100nm, self.set_point.depth_100nm - rise_100nm)
         if self.mode == _BENCH:
             self._turn_one()
         else:
@@ -199,10 +205,10 @@ class Control:
         self._lost_us += dt_us
         self._failed = True
         if self._lost_us >= _LOST_US or self.mode == _BENCH:
-            self.ladder.give_up(failsafe.FAULT)
+            self.ladder.give_up(_FAULT)
             self.disarm()
         elif self._owed == _FAULTS_LIMIT * _FAULT_CYCLES:
-            self.surface(failsafe.FAULT)
+            self.surface(_FAULT)
         return self.ladder.level != before
 
     def _recover(self):
@@ -215,7 +221,7 @@ class Control:
             self._owed -= 1
             self._lost_us = 0
 
-    def surface(self, reason=failsafe.ORDER):
+    def surface(self, reason=_ORDER):
         """Go up level, whatever the set-point says, until an order to arm calls the robot back."""
         if self.ladder.level < failsafe.SURFACE:
             self.ladder.surface(reason)

@@ -14,8 +14,8 @@ except ImportError:  # beside it, as on a board
 # The newest; 1 has no yaw rate, 2 fewer parameters, and both tell the host's clock in ms, 3 in tenths of a second.
 PROTOCOL = 3
 OLDEST = 1
-MAX_PLAIN = 255  # bytes of a frame before COBS
-MAX_STUFFED = 257  # the same after COBS, without the closing zero
+MAX_PLAIN = 119  # bytes of a frame before COBS
+MAX_STUFFED = 121  # the same after COBS, without the closing zero
 MAX_TEXT = 48  # bytes of a LOG line
 OVERHEAD = 6  # type, seq, crc
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ from hw.firmware.failsafe import DISARM, HOLD, LATCHED, OK, SURFACE
 from hw.stm32.driver import surfacing_for_silence
 from hw.stm32.protocol import HostProtocol
 from hw.twin.dive import LOCK_STEP_S
+from tests.hw.firmware.bare_board import FIRMWARE
 from tests.hw.firmware.diving_robot import ASCENT_M_S, HOST, HOVER, REST_N, SURFACED_M, TILTED_DEG, diving_robot
 from tests.studies import single_faults
 
@@ -97,7 +99,7 @@ def test_a_shorter_life_of_the_set_point_counts():
 
 def test_latched_is_for_ever():
     ladder = failsafe.Ladder()
-    ladder.latch(failsafe.STOP)
+    ladder.latch(wire.REASONS.index("emergency stop"))
     assert not ladder.resume()
     assert climb(5.0, ladder=ladder).level == LATCHED
 
@@ -117,7 +119,7 @@ GO = {
     "unchecked": False,
 }
 STOPPED = failsafe.Ladder()
-STOPPED.latch(failsafe.STOP)
+STOPPED.latch(wire.REASONS.index("emergency stop"))
 
 
 @pytest.mark.parametrize(
@@ -154,8 +156,16 @@ def test_arming_checks_are_reported_together():
     )
 
 
-def test_reasons_are_numbered_alike_on_both_sides():
-    assert wire.REASONS[failsafe.STOP] == "emergency stop" and wire.REASONS[failsafe.KILLED] == "kill switch"
+def test_reasons_are_numbered_alike_wherever_they_stand():
+    named = dict(ORDER="order", PARAMETERS="parameters unreadable", FAULT="control fault", KILLED="kill switch")
+    named |= dict(STOP="emergency stop", WATCHDOG="watchdog", OVERTURNED="overturned")
+    seen = set()
+    for path in FIRMWARE.glob("*.py"):
+        for name, value in re.findall(r"^_([A-Z]+) = const\((\d+)\)", path.read_text(), re.MULTILINE):
+            if name in named:
+                seen.add(name)
+                assert wire.REASONS[int(value)] == named[name], f"{path.name}: _{name}"
+    assert seen == set(named)
 
 
 # --- failsafe dive ---

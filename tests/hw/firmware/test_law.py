@@ -29,7 +29,7 @@ class Loop:
 
     def __init__(self, plant: Plant, depth_m: float) -> None:
         self.plant, self.ref_m = plant, depth_m
-        self.plane = pressure.Plane(PA_PER_M, 130, 130)
+        self.plane = pressure.Plane(PA_PER_M)
         self.plane.tare_mPa = [round(1000 * p) for p in plant.tare_pa]
         self.law = law.Observer(gains.observer())
         self.realised, self.want, self.forces, self.pulses_us = [0] * 3, [0] * 3, [0] * 8, [0] * 8
