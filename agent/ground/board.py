@@ -27,7 +27,7 @@ from hw.firmware import wire
 from hw.firmware.failsafe import LATCHED, WIRING
 from hw.firmware.thrust import PITCH, ROLL
 from hw.stm32.driver import TEXTS, Stm32, checked_id, open_port_path
-from hw.stm32.protocol import Outcome
+from hw.stm32.protocol import NO_IMU, Outcome
 from hw.twin.twin_folder import twin_dir
 
 BoardOrder = Literal["info", "tare", "check", "params", "reboot"]
@@ -174,6 +174,8 @@ class Bench:
         if wrong := faults_of(leans_m):
             raise Failed(f"{self._name}: {' or '.join(wrong)}; put that right, then check again")
         self._save({"wiring": WIRING})
+        if self._newest is None or self._newest.rate_rad_s is UNSET:
+            self._tell(NO_IMU)
         self._tell("passed: the wires are where the drawing has them; it may be armed")
 
     def _check_clock(self) -> None:

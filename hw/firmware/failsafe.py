@@ -25,6 +25,7 @@ _NUDGE_PART = const(23)
 _NUDGE_LATE = const(6)
 _WEAK_SHOWS = const(4)
 _CROSSED_SHOWS = const(14)
+_BENT_100nm = const(80000)  # out of the plane, where motion makes 4 mm
 
 # Indices of wire.REASONS
 _NONE = const(0)
@@ -43,17 +44,23 @@ _CONTRADICTED = const(17)
 _WEAK = const(18)  # T1; the next three are T2 to T4, or pairs round the hull
 _REVERSED = const(22)
 _CROSSED = const(26)
+_SENSORS_CROSSED = const(30)
 
 _ERROR_100nm = const(500000)  # 5 cm, 8 degrees: with all thrust spent on it, that is not held
 _ERROR_100nrad = const(1400000)
 _NOT_HOLDING_US = const(3000000)
 _PUSHED_US = const(2000000)
-_OVER_100nrad = const(12200000)  # 70 degrees: what goes over passes here, for the sensors show 110 as 70 and 180 as 0
 _OVER_FOR_US = const(30000)
 _PLANE_100nm = const(200000)  # four sensors in a plane within 2 cm, or no tilt is believed
 _USELESS_100nm = const(2000000)  # 20 cm out of it: nobody knows how the robot lies
 # The moment that it takes to hold a robot level: it is badly trimmed, a thruster works against it, or it is not level.
 _MOMENT_uNm = const(150000)
+# By how much that may change while a robot is at rest and nobody asks for anything. A pair of sensors that drift alike
+# makes it lean, and leaning takes a moment.
+_CHANGE_uNm = const(45000)
+_CHANGED_US = const(1500000)
+_SETTLES_US = const(2000000)
+_USUAL_SHIFT = const(9)  # of what it takes usually, a look of 40 ms: forgotten in 20 s
 
 
 class Ladder:
@@ -64,6 +71,8 @@ class Ladder:
         self.reason = _NONE
         self._surfacing_us = self._shallow_us = self._tilt_us = self._battery_us = 0
         self._over_us = self._helpless_us = self._moment_us = 0
+        self._usual_uNm = [0, 0]  # what it takes to hold the robot level, roll and pitch
+        self._still_us = self._changed_us = 0
 
     def found(self):
         """Whether it surfaces for something that the board found, and no host's silence nor order."""
@@ -97,7 +106,7 @@ class Ladder:
         self._tilt_us = self._tilt_us + dt_us if tilt > _TILT_100nrad else 0
         self._battery_us = self._battery_us + dt_us if battery_low else 0
         flat = -_PLANE_100nm < plane.parity_100nm < _PLANE_100nm
-        self._over_us = self._over_us + dt_us if flat and tilt > _OVER_100nrad else 0
+        self._over_us = self._over_us + dt_us if flat and plane.over else 0
         if plane.bad_count >= 2:
             self._climb(DISARM, _TWO_BAD)
         elif plane.upside_down or self._over_us >= _OVER_FOR_US:
@@ -131,9 +140,9 @@ class Ladder:
             self._climb(OK, _NONE)
         return self.level
 
-    def watch(self, dt_us, depth_100nm, tilt_100nrad, saturated, push):
-        """What control came to since the last look: the largest errors, whether all thrust was spent, and the push that
-        the law believes in, uN down and uNm."""
+    def watch(self, dt_us, depth_100nm, tilt_100nrad, saturated, push, still):
+        """What control came to since the last look: the largest errors, whether all thrust was spent, the push that the
+        law believes in, uN down and uNm, and whether the robot is at rest and shall be."""
         far = depth_100nm > _ERROR_100nm or tilt_100nrad > _ERROR_100nrad
         self._helpless_us = self._helpless_us + dt_us if far and saturated else 0
         _, roll, pitch = push
@@ -142,6 +151,26 @@ class Ladder:
             reason = pushed_by(*push)
             if reason != _CONTRADICTED or self._moment_us >= _NOT_HOLDING_US:  # nudges may still say whose it is
                 self.suspect(reason)
+        elif self._has_changed(dt_us, roll, pitch, still):
+            self.suspect(_CONTRADICTED)
+
+    def _has_changed(self, dt_us, roll, pitch, still):
+        """Whether another moment holds the robot level than before, though nothing happened to it."""
+        usual = self._usual_uNm
+        if not still or self._still_us < _SETTLES_US:
+            self._still_us = self._still_us + dt_us if still else 0
+            self._changed_us = 0
+            usual[0], usual[1] = roll, pitch
+            return False
+        roll -= usual[0]
+        pitch -= usual[1]
+        if -_CHANGE_uNm < roll < _CHANGE_uNm and -_CHANGE_uNm < pitch < _CHANGE_uNm:
+            self._changed_us = max(0, self._changed_us - dt_us)
+            usual[0] += roll >> _USUAL_SHIFT
+            usual[1] += pitch >> _USUAL_SHIFT
+        else:
+            self._changed_us += dt_us
+        return self._changed_us >= _CHANGED_US
 
     def suspect(self, reason):
         """Something does not do what it is told: up, or, where control pushes the wrong way, off."""
@@ -160,8 +189,14 @@ class Probe:
     def __init__(self, every):
         """every: cycles from nudge to nudge, 100 or more."""
         self._every = every
+        self.begin()
+
+    def begin(self):
+        """From the first nudge after arming."""
         self._at = self._named = self._roll = self._pitch = 0
         self._quiet = True  # since the nudge began
+        self._parity = None  # at the beginning
+        self.axis = 2  # along which the robot is rocked, to see its sensors follow: pitch, then roll, then no more
 
     def sign(self):
         """Of the nudge in this cycle: + - - +, which no drift looks like."""
@@ -169,6 +204,19 @@ class Probe:
         if at >= 4 * _NUDGE_PART:
             return 0
         return -1 if _NUDGE_PART <= at < 3 * _NUDGE_PART else 1
+
+    def rock(self):
+        """Sign of the moment along `axis` in this cycle: + + - -."""
+        at = self._at
+        return 0 if at >= 4 * _NUDGE_PART else -1 if at >= 2 * _NUDGE_PART else 1
+
+    def rocked(self, parity_100nm):
+        """An index of wire.REASONS where sensors do not follow, else 0: what two neighbours that are crossed should
+        show of being rocked, they show as a plane that bends."""
+        if self._parity is None:
+            self._parity = parity_100nm
+        bent = parity_100nm - self._parity
+        return 0 if -_BENT_100nm < bent < _BENT_100nm else _SENSORS_CROSSED
 
     def step(self, roll, pitch, full_mN, quiet):
         """End a cycle with the moments that the law believes in, uNm, and the full thrust, mN. What does not do what it
@@ -190,6 +238,8 @@ class Probe:
                 named = 0
             self._roll = self._pitch = 0
             self._quiet = True
+            if self.axis:
+                self.axis -= 1
             again, self._named = named == self._named, named
             return named if again else 0
         return 0

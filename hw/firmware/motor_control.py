@@ -36,6 +36,9 @@ _ESC_LIVES_MV = const(6000)
 _ESC_STARTS_US = const(2000000)
 _WATCH_US = const(40000)
 _NUDGE_SHIFT = const(5)  # of the full thrust
+_ROCK_urad_s2 = const(1200000)  # half a degree of a robot whose sensors follow, and some of one whose do not
+_STILL_uN = const(1000000)  # a push of less than 1 N is none: it may sit a few cm off the middle
+_STILL_uNm = const(100000)
 _QUIET_100nm = const(300000)  # where a robot within 3 cm and 10 degrees is at rest
 _QUIET_100nrad = const(1740000)
 _BENCH_US = const(60)  # over neutral: a propeller in air turns visibly and slowly
@@ -61,6 +64,11 @@ class SetPoint:
 
     def is_neutral(self):
         return not (any(self.force_uN) or any(self.tilt_100nrad) or self.yaw_uNm)
+
+    def is_still(self):
+        """Level, with next to no push."""
+        x, y = self.force_uN
+        return not any(self.tilt_100nrad) and abs(x) + abs(y) < _STILL_uN and abs(self.yaw_uNm) < _STILL_uNm
 
     def level_out(self):
         """No tilt, no planar push."""
@@ -132,6 +140,7 @@ class Control:
         self._battery_min_mv = int(of["battery_min_mV"])
         self.pulse_frame_us = of["pulse_frame_us"]
         self._checked = of["wiring"] == failsafe.WIRING
+        self._rock_uNm = int(of["tilt_kgm2"] * _ROCK_urad_s2)
         self._slew_uN = int(of["slew_N"] * 1e6 + 0.5)
         for j in range(8):
             self.neutral_us[j] = self.pulses_us[j] = int(of["zero_%d_us" % (j + 1)])
@@ -247,6 +256,9 @@ class Control:
         self.law.step(y, ref, realised, want, ticks)
         if self.mode == _STABILISE:
             want[0] = 0
+        probe = self.probe
+        if probe and probe.axis and self.ladder.level < failsafe.SURFACE:
+            want[probe.axis] += probe.rock() * self._rock_uNm
         # What carries the weight is none of the law's: it neither asks for it nor learns of it.
         weight = self._net_weight_uN
         if weight:
@@ -258,7 +270,6 @@ class Control:
         realised[0] -= weight
         if thrust.flat(set_point.force_uN[0], set_point.force_uN[1], set_point.yaw_uNm, full, forces):
             self.saturated |= 2
-        probe = self.probe
         nudge = probe.sign() * (full >> _NUDGE_SHIFT) if probe else 0
         if not nudge or self.saturated:
             thrust.pulses(forces, self.neutral_us, full, self.pulses_us)
@@ -279,7 +290,9 @@ class Control:
             self._look()
         probe, law = self.probe, self.law
         if probe and self.ladder.level < failsafe.SURFACE:
-            reason = probe.step(law.disturbance(1), law.disturbance(2), self._thrust_max_mN, self._quiet)
+            reason = probe.axis and probe.rocked(self.plane.parity_100nm)
+            if not reason:
+                reason = probe.step(law.disturbance(1), law.disturbance(2), self._thrust_max_mN, self._quiet)
             if reason:
                 self.ladder.suspect(reason)
 
@@ -289,8 +302,9 @@ class Control:
             push[i] = law.disturbance(i)
         deep, roll, pitch = abs(y[0] - ref[0]), abs(y[1] - ref[1]), abs(y[2] - ref[2])
         off = roll if roll > pitch else pitch
-        self.ladder.watch(self._unwatched_us, deep, off, self._cut, push)
         self._quiet = not self._cut and deep < _QUIET_100nm and off < _QUIET_100nrad
+        still = self._quiet and self.set_point.is_still()
+        self.ladder.watch(self._unwatched_us, deep, off, self._cut, push, still)
         self._unwatched_us = self._cut = 0
 
     def arm_faults(self, hello, loop_max_us):
@@ -322,6 +336,8 @@ class Control:
         self._owed = self._lost_us = 0
         self._failed = False
         self._begin()
+        if self.probe:
+            self.probe.begin()
         self.state = _ARMED
 
     def _begin(self):

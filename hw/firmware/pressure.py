@@ -25,6 +25,10 @@ _UPSIDE_DOWN_MG = const(-300)
 _UPSIDE_DOWN_LOOKS = const(3)  # of 0.1 s
 _LEAN_MG = const(130)  # 7.5 degrees
 _LEAN_LOOKS = const(15)
+# 58 degrees from upright, whichever way: the square of its sine, in 2**-9 of 1e-7. What goes over passes here, for the
+# sensors show 122 as 58 and 180 as 0.
+_OVER = const(274300000)
+_STEEP = const(5990000)  # below it in both, it is not over
 _SERIES = const(4200000)  # up to 25 degrees asin and 1/cos are the first terms of their series
 
 
@@ -39,6 +43,7 @@ class Plane:
         self.parity_100nm = 0  # zeta1 - zeta2 + zeta3 - zeta4, 0 for a plane; smoothed over 0.2 s
         self.bad = 0  # bit mask of sensors not believed
         self.bad_count = 0
+        self.over = False  # it lies on its side, or worse
         self.disagree = False  # one of them is wrong and nobody knows which
         self.upside_down = self.leans = False  # by gravity, where there is an accelerometer
         self._upside, self._leaning = 0, 0  # looks in a row
@@ -103,6 +108,9 @@ class Plane:
         self.depth_100nm = (z1 + z2 + z3 + z4 + 2) >> 2
         nose = (z1 - z2 - z3 + z4) * 250 // _SENSOR_HALF_MM  # sin(pitch), in 1e-7
         left = (z3 + z4 - z1 - z2) * 250 // _SENSOR_HALF_MM  # sin(roll) cos(pitch)
+        self.over = False
+        if not (-_STEEP < nose < _STEEP and -_STEEP < left < _STEEP):
+            self.over = (nose >> 9) * (nose >> 9) + (left >> 9) * (left >> 9) > _OVER
         if -_SERIES < nose < _SERIES:
             s = nose >> 9
             square = (s * s >> 13) * 45 >> 6  # of the sine, in 1/32768

@@ -144,6 +144,7 @@ REASONS = (
     "T2 and T3 are crossed",
     "T3 and T4 are crossed",
     "T4 and T1 are crossed",
+    "neighbouring sensors are crossed",
 )
 
 ARM_CHECKS = (

@@ -252,6 +252,7 @@ CURABLE = frozenset(
 )
 
 
+NO_IMU = "no IMU: sensors that drift in pairs and a robot put in upside down may go unnoticed"
 LATCHED = "fault latched"
 REBOOT = "look at the robot, then `aucamp board reboot`"
 
@@ -356,6 +357,7 @@ class HostProtocol:
         self._counts = {"rx_ok": 0, "rx_bad": 0, "lost": 0, "reconnects": -1, "dropped": 0}
         self._latency_ns: int | None = None
         self._board_rx, self._board_late = (0, 0), 0
+        self._has_imu = self._told_imu = False  # this boot's; that it has none was said
         self._status: dict[str, float] = {}  # for the telemetry that comes next
         self._last_text = ""
         self._begin()
@@ -524,6 +526,8 @@ class HostProtocol:
             if self._stop != "rebooting":
                 self._say(self._arming.give_up("the board has restarted; arm again"))
             self._stop = "none"
+        if boot_id != self._boot_id:
+            self._has_imu = self._told_imu = False
         self._boot_id = boot_id
         self._hello = True
         self.say("info", f"board {name}, boot {boot_id:08x}")
@@ -540,6 +544,7 @@ class HostProtocol:
             self.hung_up()
             return
         self._say(self._arming.seen(telemetry.armed))
+        self._has_imu = self._has_imu or telemetry.rate_rad_s is not UNSET
         sent_ns = self._sent_ns.pop(set_point_seq, None)
         if sent_ns is not None:
             self._latency_ns = self._now_ns - sent_ns
@@ -565,6 +570,9 @@ class HostProtocol:
             self._hello = self._agreed = False
         if kind == wire.ARM:
             self._arming.answered(result == wire.OK, self._now_ns)
+            if result == wire.OK and not (self._has_imu or self._told_imu):
+                self._told_imu = True
+                self.say("warning", NO_IMU)
         elif kind == wire.TARE and result == wire.OK:
             self.say("info", "tared")
         elif kind == wire.TARE:

@@ -112,6 +112,13 @@ def test_water_that_comes_all_at_once_is_no_spike():
     assert seen.depth_100nm == pytest.approx(1e6, abs=1e4)
 
 
+@pytest.mark.parametrize(
+    ("roll_deg", "pitch_deg", "over"), [(50, 0, False), (45, 30, False), (50, 40, True), (0, -80, True)]
+)
+def test_what_lies_on_its_side_is_over_whichever_way_it_leans(roll_deg, pitch_deg, over):
+    assert watch(sensors(0.6, roll_deg, pitch_deg)).over is over
+
+
 def test_tare_refuses_waves_and_water():
     def zero(*rows: list[int]) -> Any:
         collector = flash.Tare()
