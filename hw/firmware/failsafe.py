@@ -196,7 +196,7 @@ class Probe:
         self._at = self._named = self._roll = self._pitch = 0
         self._quiet = True  # since the nudge began
         self._parity = None  # at the beginning
-        self.axis = 2  # along which the robot is rocked, to see its sensors follow: pitch, then roll, then no more
+        self.rocking = True  # once, to see whether its sensors follow
 
     def sign(self):
         """Of the nudge in this cycle: + - - +, which no drift looks like."""
@@ -206,7 +206,7 @@ class Probe:
         return -1 if _NUDGE_PART <= at < 3 * _NUDGE_PART else 1
 
     def rock(self):
-        """Sign of the moment along `axis` in this cycle: + + - -."""
+        """Sign of the moments in roll and pitch in this cycle: + + - -."""
         at = self._at
         return 0 if at >= 4 * _NUDGE_PART else -1 if at >= 2 * _NUDGE_PART else 1
 
@@ -238,8 +238,7 @@ class Probe:
                 named = 0
             self._roll = self._pitch = 0
             self._quiet = True
-            if self.axis:
-                self.axis -= 1
+            self.rocking = False
             again, self._named = named == self._named, named
             return named if again else 0
         return 0

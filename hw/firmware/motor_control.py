@@ -257,8 +257,10 @@ class Control:
         if self.mode == _STABILISE:
             want[0] = 0
         probe = self.probe
-        if probe and probe.axis and self.ladder.level < failsafe.SURFACE:
-            want[probe.axis] += probe.rock() * self._rock_uNm
+        if probe and probe.rocking and self.ladder.level < failsafe.SURFACE:
+            rock_uNm = probe.rock() * self._rock_uNm
+            want[1] += rock_uNm
+            want[2] += rock_uNm
         # What carries the weight is none of the law's: it neither asks for it nor learns of it.
         weight = self._net_weight_uN
         if weight:
@@ -290,7 +292,9 @@ class Control:
             self._look()
         probe, law = self.probe, self.law
         if probe and self.ladder.level < failsafe.SURFACE:
-            reason = probe.axis and probe.rocked(self.plane.parity_100nm)
+            _, roll, pitch = self._y
+            calm = -_QUIET_100nrad < roll < _QUIET_100nrad and -_QUIET_100nrad < pitch < _QUIET_100nrad
+            reason = probe.rocked(self.plane.parity_100nm) if probe.rocking and calm else 0
             if not reason:
                 reason = probe.step(law.disturbance(1), law.disturbance(2), self._thrust_max_mN, self._quiet)
             if reason:
