@@ -19,7 +19,7 @@ import pytest
 
 from hw.firmware import failsafe, thrust, wire
 from hw.firmware.failsafe import DISARM, HOLD, LATCHED, OK, SURFACE
-from hw.stm32.driver import surfacing_for_silence
+from hw.module import surfacing_for_silence
 from hw.stm32.protocol import HostProtocol
 from hw.twin.dive import LOCK_STEP_S
 from tests.hw.firmware.bare_board import FIRMWARE
