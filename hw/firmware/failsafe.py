@@ -24,6 +24,7 @@ WIRING = 5184  # number of wiring.py's table: of another one `aucamp board check
 _NUDGE_PART = const(23)
 _NUDGE_LATE = const(6)
 _WEAK_SHOWS = const(4)
+_WEAK_SHOWS_TWICE = const(14)  # both times together: currents show as much once
 _CROSSED_SHOWS = const(14)
 _BENT_100nm = const(80000)  # out of the plane, where motion makes 4 mm
 
@@ -193,7 +194,7 @@ class Probe:
 
     def begin(self):
         """From the first nudge after arming."""
-        self._at = self._named = self._roll = self._pitch = 0
+        self._at = self._named = self._roll = self._pitch = self._small = 0
         self._quiet = True  # since the nudge began
         self._parity = None  # at the beginning
         self.rocking = True  # once, to see whether its sensors follow
@@ -233,14 +234,17 @@ class Probe:
             self._pitch += pitch
         elif late == 4 * _NUDGE_PART:
             full = full_mN * 125 >> 7  # of uN, 1024 at a time
-            named = _moved(self._roll * 5 // (24 * full), self._pitch * 5 // (32 * full))
+            roll, pitch = self._roll * 5 // (24 * full), self._pitch * 5 // (32 * full)
+            named = _moved(roll, pitch)
             if not self._quiet:
                 named = 0
             self._roll = self._pitch = 0
             self._quiet = True
             self.rocking = False
+            small = min(abs(roll), abs(pitch))
             again, self._named = named == self._named, named
-            return named if again else 0
+            both, self._small = small + self._small, small
+            return named if again and (named >= _CROSSED or both >= _WEAK_SHOWS_TWICE) else 0
         return 0
 
 

@@ -163,15 +163,6 @@ def serve(hal):
         hal.reboot()
 
 
-def main(serial_fd, bus_fd, flash_path):
-    import hal_unix
-
-    try:
-        serve(hal_unix.Hal(int(serial_fd), int(bus_fd), flash_path))
-    except KeyboardInterrupt:
-        pass
-
-
 if __name__ == "__main__":
     if sys.platform == "pyboard":
         import hal_stm32
@@ -179,7 +170,12 @@ if __name__ == "__main__":
         if not hal_stm32.wants_prompt():
             serve(hal_stm32.Hal())
     elif len(sys.argv) == 4:
-        main(*sys.argv[1:])
+        import hal_unix
+
+        try:
+            serve(hal_unix.Hal(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]))
+        except KeyboardInterrupt:
+            pass
     else:
         sys.stderr.write("usage: main.py SERIAL_FD BUS_FD FLASH_PATH\n")
         sys.exit(2)

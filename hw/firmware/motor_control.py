@@ -62,13 +62,10 @@ class SetPoint:
         self.age_us = _NEVER_US
         self.host_time = None
 
-    def is_neutral(self):
-        return not (any(self.force_uN) or any(self.tilt_100nrad) or self.yaw_uNm)
-
-    def is_still(self):
-        """Level, with next to no push."""
+    def is_neutral(self, push_uN=0, turn_uNm=0):
+        """Level, with no more of a push, and no more of a moment, than that."""
         x, y = self.force_uN
-        return not any(self.tilt_100nrad) and abs(x) + abs(y) < _STILL_uN and abs(self.yaw_uNm) < _STILL_uNm
+        return not any(self.tilt_100nrad) and abs(x) + abs(y) <= push_uN and abs(self.yaw_uNm) <= turn_uNm
 
     def level_out(self):
         """No tilt, no planar push."""
@@ -126,13 +123,13 @@ class Control:
                 self.probe = failsafe.Probe(int(of["nudge_s"] * 100 + 0.5))
             self.law = law.Observer(gains.observer(of["heave_kg"], of["tilt_kgm2"], of["lag_s"]))
         elif name == "pid":
-            import law_pid  # these two take no memory where they are not wanted
+            import law_pid  # which takes no memory where it is not wanted
 
             self.law = law_pid.Pid(int(of["pid_set"]))
         else:
-            import law_pi
+            import law_pid
 
-            self.law = law_pi.Pi()
+            self.law = law_pid.Pi()
         self.plane.set_water(of["water_kg_m3"] * 9.80665)
         self._thrust_max_mN = int(of["thrust_max_N"] * 1e3 + 0.5)
         self._net_weight_uN = int(of["net_weight_N"] * 1e6)
@@ -307,7 +304,7 @@ class Control:
         deep, roll, pitch = abs(y[0] - ref[0]), abs(y[1] - ref[1]), abs(y[2] - ref[2])
         off = roll if roll > pitch else pitch
         self._quiet = not self._cut and deep < _QUIET_100nm and off < _QUIET_100nrad
-        still = self._quiet and self.set_point.is_still()
+        still = self._quiet and self.set_point.is_neutral(_STILL_uN, _STILL_uNm)
         self.ladder.watch(self._unwatched_us, deep, off, self._cut, push, still)
         self._unwatched_us = self._cut = 0
 

@@ -523,6 +523,15 @@ def test_another_moment_that_holds_a_robot_at_rest_contradicts_its_attitude():
     assert ends(0, 60_000) == SURFACE == ends(100_000, 40_000)
 
 
+@pytest.mark.parametrize(("shows", "named"), [(5, False), (9, True)])
+def test_a_thruster_is_weak_where_two_nudges_together_show_enough(shows, named):
+    probe, said = failsafe.Probe(100), set()
+    for cycle in range(200):
+        sign = -1 if 23 <= (cycle + 1) % 100 - 6 < 69 else 1
+        said.add(probe.step(sign * shows * 520, -sign * shows * 690, 10_000, True))
+    assert (wire.REASONS.index("T1 gives little or nothing") in said) is named
+
+
 def test_sensors_that_bend_where_the_robot_is_rocked_are_crossed():
     probe = failsafe.Probe(100)
     assert probe.rocking and {probe.rocked(mm * 10_000) for mm in (3, 7, -4, 10)} == {0}
