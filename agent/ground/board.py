@@ -26,8 +26,9 @@ from agent.robot.fleet_reader import load_fleet, load_robot
 from hw.firmware import wire
 from hw.firmware.failsafe import LATCHED, WIRING
 from hw.firmware.thrust import PITCH, ROLL
-from hw.stm32.driver import TEXTS, Stm32, checked_id, open_port_path
-from hw.stm32.protocol import Outcome
+from hw.module import serial_port
+from hw.stm32.driver import TEXTS, Stm32, checked_id
+from hw.stm32.protocol import NO_IMU, Outcome
 from hw.twin.twin_folder import twin_dir
 
 BoardOrder = Literal["info", "tare", "check", "params", "reboot"]
@@ -85,7 +86,7 @@ def greeted(fleet_path: Path, name: str, say: Callable[[str], None], limit_s: fl
     fleet = load_fleet(fleet_path)
     robot = load_robot(fleet, name, fleet_path)
     clock = fleet_clock(fleet)
-    board = Stm32(open_port_path(robot.serial, twin_dir(fleet)), clock)
+    board = Stm32(serial_port(robot.serial, twin_dir(fleet)), clock)
     board.start()
     bench = Bench(board, name, clock, say, limit_s)
     try:
@@ -174,6 +175,8 @@ class Bench:
         if wrong := faults_of(leans_m):
             raise Failed(f"{self._name}: {' or '.join(wrong)}; put that right, then check again")
         self._save({"wiring": WIRING})
+        if self._newest is None or self._newest.rate_rad_s is UNSET:
+            self._tell(NO_IMU)
         self._tell("passed: the wires are where the drawing has them; it may be armed")
 
     def _check_clock(self) -> None:

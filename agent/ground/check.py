@@ -37,6 +37,7 @@ from agent.robot.fleet_reader import broken_rules, load_fleet, load_robot, read_
 from hw.camera import known_scheme, libcamera, open_camera
 from hw.camera.camera import CameraError
 from hw.camera.v4l2_node import find
+from hw.module import serial_port as module_port
 from hw.twin.twin_folder import twin_dir
 
 # --- devices of this computer ---
@@ -52,7 +53,7 @@ def device_findings(fleet: Fleet, name: str) -> Iterator[Finding]:
         yield Finding("ok", name, "control module and camera in the twin")
         return
     if not robot.serial.startswith("twin:"):
-        yield tried(name, lambda: serial_port(Path(robot.serial)))
+        yield tried(name, lambda: serial_port(Path(module_port(robot.serial, twin_dir(fleet)))))
     yield tried(name, lambda: camera(fleet, name))
 
 
@@ -62,7 +63,7 @@ def shared_findings(fleet: Fleet, names: Sequence[str]) -> Iterator[Finding]:
     for name in names:
         robot = fleet.robot[name]
         for key, text, place in (
-            ("serial", robot.serial, robot.serial),
+            ("serial", robot.serial, robot.serial.removeprefix("stm32:")),
             ("camera", robot.camera, robot.camera.partition(":")[2]),
         ):
             thing = None if text.startswith("twin:") else identity(text, place)

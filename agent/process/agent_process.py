@@ -58,7 +58,7 @@ from agent.robot.fleet_reader import load_fleet, load_robot, with_behaviour
 from agent.robot.step import Agent
 from hw.camera import known_scheme, open_camera
 from hw.camera.camera import Camera, CameraError, Frame
-from hw.stm32.driver import Motors, Stm32, open_port_path
+from hw.module import Motors, open_module
 from hw.twin.twin_folder import twin_dir
 from replay.files.info import RateNotes
 from replay.files.mcap_file import environment
@@ -396,9 +396,9 @@ class AgentProcess:
 
     def open_module(self, arm: bool) -> None:
         """The control module. Last, so that its motors are off before anything else ends."""
-        port = open_port_path(self._setup.robot.serial, self._sockets)
+        part = part_name(self._setup.name, SERIAL)
         self._module = self._stack.enter_context(
-            Stm32(port, self._clock, tap=self._box.serial, part=part_name(self._setup.name, SERIAL))
+            open_module(self._setup.robot.serial, self._sockets, self._clock, self._box.serial, part)
         )
         if arm:
             self._module.arm()

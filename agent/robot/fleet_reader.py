@@ -248,7 +248,10 @@ def _device_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
                 yield f"robot.{name}.{key}", f"'{device}' is not this robot's; write twin:{name}"
         address = robot.listen.partition("/")[2]
         host = address.rpartition(":")[0]
-        held = [("listen", address, "port"), ("serial", f"{host} {robot.serial}", "control module")]
+        held = [
+            ("listen", address, "port"),
+            ("serial", f"{host} {robot.serial.removeprefix('stm32:')}", "control module"),
+        ]
         if robot.camera.startswith(("twin:", "v4l2:")):  # recorded pictures may be looked at by many
             held.append(("camera", f"{host} {robot.camera}", "camera"))
         for key, what, kind in held:

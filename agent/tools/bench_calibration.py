@@ -38,7 +38,7 @@ from agent.tools.camera_calibration import Corner, fit_camera
 from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus
 from hw.camera import open_camera
 from hw.camera.camera import Camera, FocusRange, Roi
-from hw.stm32.driver import Stm32, open_port_path
+from hw.module import open_module
 from hw.twin.calibration_bench import BenchClient
 from hw.twin.twin_folder import twin_dir
 
@@ -390,7 +390,7 @@ def bench_by_hand(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place, Wait
         camera = open_camera(robot.camera, twin_dir(fleet), size(fleet), mains_hz=fleet.camera.mains_hz)
         stack.callback(camera.close)
         clock = SystemClock()
-        module = stack.enter_context(Stm32(open_port_path(robot.serial, twin_dir(fleet)), clock))
+        module = stack.enter_context(open_module(robot.serial, twin_dir(fleet), clock))
         asked: Vector | None = None
         done = 0 if movable(camera) else DISTANCES
 

@@ -4,16 +4,14 @@ from micropython import const
 
 OK, HOLD, SURFACE, DISARM, LATCHED = 0, 1, 2, 3, 4
 
-HOLD_AFTER_US = 500000  # 10 lost set-points at 20 Hz
+_HOLD_AFTER_US = const(500000)  # 10 lost set-points at 20 Hz
 _SURFACE_AFTER_US = const(3000000)  # as ArduSub's pilot input
 _DISARM_AFTER_US = const(30000000)  # of surfacing without reaching the surface: it is held fast, or out of power
 _SURFACED_100nm = const(1000000)  # 10 cm
 _SURFACED_FOR_US = const(2000000)
-AFLOAT_100nm = 800000  # where surfacing ends: a hull lifted out of the water would plunge when the motors stop
 _TILT_100nrad = const(7850000)  # 45 degrees
 _TILT_FOR_US = const(2000000)
 _BATTERY_FOR_US = const(2000000)  # sag under a burst of thrust is not an empty battery
-ASCENT_MM_S = 70
 
 _ARM_TILT_100nrad = const(3490000)  # 20 degrees
 _ARM_PARITY_100nm = const(50000)  # 5 mm
@@ -26,11 +24,13 @@ WIRING = 5184  # number of wiring.py's table: of another one `aucamp board check
 _NUDGE_PART = const(23)
 _NUDGE_LATE = const(6)
 _WEAK_SHOWS = const(4)
+_WEAK_SHOWS_TWICE = const(14)  # both times together: currents show as much once
 _CROSSED_SHOWS = const(14)
+_BENT_100nm = const(80000)  # out of the plane, where motion makes 4 mm
 
 # Indices of wire.REASONS
 _NONE = const(0)
-ORDER = 1
+_ORDER = const(1)
 _SILENT = const(2)
 _LEAK = const(3)
 _BATTERY = const(4)
@@ -39,26 +39,29 @@ _SURFACED = const(6)
 _STUCK = const(7)
 _TILTED = const(8)
 _TWO_BAD = const(9)
-STOP, PARAMETERS, WATCHDOG, FAULT = 10, 11, 12, 13
-KILLED = 14
 _NOT_HOLDING = const(15)
 _OVERTURNED = const(16)
 _CONTRADICTED = const(17)
 _WEAK = const(18)  # T1; the next three are T2 to T4, or pairs round the hull
 _REVERSED = const(22)
 _CROSSED = const(26)
+_SENSORS_CROSSED = const(30)
 
 _ERROR_100nm = const(500000)  # 5 cm, 8 degrees: with all thrust spent on it, that is not held
 _ERROR_100nrad = const(1400000)
 _NOT_HOLDING_US = const(3000000)
 _PUSHED_US = const(2000000)
-_OVER_100nrad = const(12200000)  # 70 degrees: what goes over passes here, for the sensors show 110 as 70 and 180 as 0
 _OVER_FOR_US = const(30000)
 _PLANE_100nm = const(200000)  # four sensors in a plane within 2 cm, or no tilt is believed
 _USELESS_100nm = const(2000000)  # 20 cm out of it: nobody knows how the robot lies
-_MOMENT_uNm = const(
-    150000
-)  # that it takes to hold a robot level: badly trimmed, or a thruster works against it, or not level
+# The moment that it takes to hold a robot level: it is badly trimmed, a thruster works against it, or it is not level.
+_MOMENT_uNm = const(150000)
+# By how much that may change while a robot is at rest and nobody asks for anything. A pair of sensors that drift alike
+# makes it lean, and leaning takes a moment.
+_CHANGE_uNm = const(45000)
+_CHANGED_US = const(1500000)
+_SETTLES_US = const(2000000)
+_USUAL_SHIFT = const(9)  # of what it takes usually, a look of 40 ms: forgotten in 20 s
 
 
 class Ladder:
@@ -69,10 +72,12 @@ class Ladder:
         self.reason = _NONE
         self._surfacing_us = self._shallow_us = self._tilt_us = self._battery_us = 0
         self._over_us = self._helpless_us = self._moment_us = 0
+        self._usual_uNm = [0, 0]  # what it takes to hold the robot level, roll and pitch
+        self._still_us = self._changed_us = 0
 
     def found(self):
         """Whether it surfaces for something that the board found, and no host's silence nor order."""
-        return self.level >= SURFACE and self.reason != _SILENT and self.reason != ORDER
+        return self.level >= SURFACE and self.reason != _SILENT and self.reason != _ORDER
 
     def resume(self):
         """Go back to normal, by order. False where only a reboot helps."""
@@ -102,7 +107,7 @@ class Ladder:
         self._tilt_us = self._tilt_us + dt_us if tilt > _TILT_100nrad else 0
         self._battery_us = self._battery_us + dt_us if battery_low else 0
         flat = -_PLANE_100nm < plane.parity_100nm < _PLANE_100nm
-        self._over_us = self._over_us + dt_us if flat and tilt > _OVER_100nrad else 0
+        self._over_us = self._over_us + dt_us if flat and plane.over else 0
         if plane.bad_count >= 2:
             self._climb(DISARM, _TWO_BAD)
         elif plane.upside_down or self._over_us >= _OVER_FOR_US:
@@ -130,15 +135,15 @@ class Ladder:
             self._climb(SURFACE, _NOT_HOLDING)
         elif age_us > _SURFACE_AFTER_US:
             self._climb(SURFACE, _SILENT)
-        elif age_us > min(HOLD_AFTER_US, ttl_us):
+        elif age_us > min(_HOLD_AFTER_US, ttl_us):
             self._climb(HOLD, _SILENT)
         else:
             self._climb(OK, _NONE)
         return self.level
 
-    def watch(self, dt_us, depth_100nm, tilt_100nrad, saturated, push):
-        """What control came to since the last look: the largest errors, whether all thrust was spent, and the push that
-        the law believes in, uN down and uNm."""
+    def watch(self, dt_us, depth_100nm, tilt_100nrad, saturated, push, still):
+        """What control came to since the last look: the largest errors, whether all thrust was spent, the push that the
+        law believes in, uN down and uNm, and whether the robot is at rest and shall be."""
         far = depth_100nm > _ERROR_100nm or tilt_100nrad > _ERROR_100nrad
         self._helpless_us = self._helpless_us + dt_us if far and saturated else 0
         _, roll, pitch = push
@@ -147,6 +152,26 @@ class Ladder:
             reason = pushed_by(*push)
             if reason != _CONTRADICTED or self._moment_us >= _NOT_HOLDING_US:  # nudges may still say whose it is
                 self.suspect(reason)
+        elif self._has_changed(dt_us, roll, pitch, still):
+            self.suspect(_CONTRADICTED)
+
+    def _has_changed(self, dt_us, roll, pitch, still):
+        """Whether another moment holds the robot level than before, though nothing happened to it."""
+        usual = self._usual_uNm
+        if not still or self._still_us < _SETTLES_US:
+            self._still_us = self._still_us + dt_us if still else 0
+            self._changed_us = 0
+            usual[0], usual[1] = roll, pitch
+            return False
+        roll -= usual[0]
+        pitch -= usual[1]
+        if -_CHANGE_uNm < roll < _CHANGE_uNm and -_CHANGE_uNm < pitch < _CHANGE_uNm:
+            self._changed_us = max(0, self._changed_us - dt_us)
+            usual[0] += roll >> _USUAL_SHIFT
+            usual[1] += pitch >> _USUAL_SHIFT
+        else:
+            self._changed_us += dt_us
+        return self._changed_us >= _CHANGED_US
 
     def suspect(self, reason):
         """Something does not do what it is told: up, or, where control pushes the wrong way, off."""
@@ -165,8 +190,14 @@ class Probe:
     def __init__(self, every):
         """every: cycles from nudge to nudge, 100 or more."""
         self._every = every
-        self._at = self._named = self._roll = self._pitch = 0
+        self.begin()
+
+    def begin(self):
+        """From the first nudge after arming."""
+        self._at = self._named = self._roll = self._pitch = self._small = 0
         self._quiet = True  # since the nudge began
+        self._parity = None  # at the beginning
+        self.rocking = True  # once, to see whether its sensors follow
 
     def sign(self):
         """Of the nudge in this cycle: + - - +, which no drift looks like."""
@@ -174,6 +205,19 @@ class Probe:
         if at >= 4 * _NUDGE_PART:
             return 0
         return -1 if _NUDGE_PART <= at < 3 * _NUDGE_PART else 1
+
+    def rock(self):
+        """Sign of the moments in roll and pitch in this cycle: + + - -."""
+        at = self._at
+        return 0 if at >= 4 * _NUDGE_PART else -1 if at >= 2 * _NUDGE_PART else 1
+
+    def rocked(self, parity_100nm):
+        """An index of wire.REASONS where sensors do not follow, else 0: what two neighbours that are crossed should
+        show of being rocked, they show as a plane that bends."""
+        if self._parity is None:
+            self._parity = parity_100nm
+        bent = parity_100nm - self._parity
+        return 0 if -_BENT_100nm < bent < _BENT_100nm else _SENSORS_CROSSED
 
     def step(self, roll, pitch, full_mN, quiet):
         """End a cycle with the moments that the law believes in, uNm, and the full thrust, mN. What does not do what it
@@ -190,13 +234,17 @@ class Probe:
             self._pitch += pitch
         elif late == 4 * _NUDGE_PART:
             full = full_mN * 125 >> 7  # of uN, 1024 at a time
-            named = _moved(self._roll * 5 // (24 * full), self._pitch * 5 // (32 * full))
+            roll, pitch = self._roll * 5 // (24 * full), self._pitch * 5 // (32 * full)
+            named = _moved(roll, pitch)
             if not self._quiet:
                 named = 0
             self._roll = self._pitch = 0
             self._quiet = True
+            self.rocking = False
+            small = min(abs(roll), abs(pitch))
             again, self._named = named == self._named, named
-            return named if again else 0
+            both, self._small = small + self._small, small
+            return named if again and (named >= _CROSSED or both >= _WEAK_SHOWS_TWICE) else 0
         return 0
 
 
@@ -243,7 +291,7 @@ def arm_faults(
         battery_low,
         leak,
         not neutral,
-        age_us > HOLD_AFTER_US,
+        age_us > _HOLD_AFTER_US,
         esc_us < _ESC_NEUTRAL_US,
         ladder.level == LATCHED,
         loop_max_us >= _LOOP_LIMIT_US,

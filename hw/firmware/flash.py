@@ -1,78 +1,106 @@
 # What the board remembers over a power cut: parameters and tare, one table of names as the HAL stores it.
-import sys
+# For boot, and for orders to a robot at rest: in a dive neither this nor the table takes memory (orders.put_away).
 from micropython import const
 
+import parameters
+
+_LOWEST_PA = const(30000)  # what the sensors can say, see pressure.py
+_HIGHEST_PA = const(120000)
+_SAMPLES = const(200)  # 2 s
+_SPREAD_mPa = const(200000)  # 2 mbar: more is handling, splashing, or a sensor that is not well
+_DISAGREE_mPa = const(490000)  # 5 cm of water between two sensors in the same air
 _TIME_UNKNOWN = const(-1)
-_TARE_FOR_S = const(43200)  # the weather moves by 1 hPa, a centimetre of water, within hours
-_TARE_AHEAD_S = const(600)  # a clock without a time server goes wrong by so much in months, and weather in hours
-_HOST_ROUND = const(0x100000000)  # where the host's clock begins again
 _TARE_TIMES = {1000: "tare_host_ms", 10: "tare_host_ds"}  # by how many of them a second has
 
 
-def put_away():
-    """Drop the modules that only boot and orders to a robot at rest need: in a dive they take no memory."""
-    for name in ("parameters", "tare", "gains"):
-        sys.modules.pop(name, None)
+def values(hal):
+    """Of the parameters. Raises ValueError, in one line, where the table is broken or holds what cannot be."""
+    return parameters.from_flash(hal.load_flash())
 
 
-class Flash:
-    """The table, and which of the values in force are in it."""
+def save_values(hal, values):
+    table = _readable(hal)
+    parameters.into_flash(values, table)
+    hal.save_flash(table)
 
-    def __init__(self, hal):
-        self._hal = hal
-        self._table = {}
-        self._tared_now = False  # in this boot
-        self.saved = []
 
-    def load(self):
-        """Read it. Raises ValueError, in one line, where it is broken or holds what cannot be."""
-        import parameters
+def with_value(values, i, value):
+    """These values with another one of parameter i, if it can have it, else None."""
+    value = float("%.6g" % value)  # what somebody typed, before float32 made 0.4 into 0.40000001
+    if i >= len(parameters.TABLE) or not parameters.in_range(i, value):
+        return None
+    return values[:i] + [parameters.of_type(i, value)] + values[i + 1 :]
 
-        self.saved = parameters.from_flash({})
-        self._table = self._hal.load_flash()
-        self.saved = parameters.from_flash(self._table)
 
-    def save_parameters(self, values):
-        import parameters
+def tared(hal):
+    """The four zeros, or None; and when they were made, as Orders.tared has it. ValueError: there is something else."""
+    table = _readable(hal)
+    made = None  # in flash without a time: by somebody who knew
+    for unit in _TARE_TIMES:
+        if _TARE_TIMES[unit] in table:
+            made = unit, table[_TARE_TIMES[unit]]
+    tare_pa = table.get("tare_pa")
+    if tare_pa is None:
+        return None, made
+    tare_mPa = whole(tare_pa)
+    if tare_mPa is None:
+        raise ValueError("tare_pa in flash is no tare: tare again")
+    return tare_mPa, made
 
-        parameters.into_flash(values, self._table)
-        self._hal.save_flash(self._table)
-        self.saved = list(values)
 
-    def tare_mPa(self):
-        """The four zeros, or None; ValueError where there is something else."""
-        import tare
-
-        tare_pa = self._table.get("tare_pa")
-        if tare_pa is None:
-            return None
-        tare_mPa = tare.whole(tare_pa)
-        if tare_mPa is None:
-            raise ValueError("tare_pa in flash is no tare: tare again")
-        return tare_mPa
-
-    def save_tare(self, tare_pa, host_time, per_s):
-        """host_time: the host's clock, modulo 2**32, of which a second has so many; None where no host has told it."""
+def save_tare(hal, medians_mPa, depth_Pa, host_time, per_s):
+    """Keep these pressures for those so far below the surface; the four zeros, or None where that leaves no air above
+    the water. host_time: the host's clock, modulo 2**32, of which a second has so many; None where no host has told it.
+    """
+    tare_pa = [mPa * 1e-3 - depth_Pa for mPa in medians_mPa]
+    tare_mPa = whole(tare_pa)
+    if tare_mPa is not None:
+        table = _readable(hal)
         for unit in _TARE_TIMES:
-            self._table.pop(_TARE_TIMES[unit], None)
-        self._table["tare_pa"] = tare_pa
-        self._table[_TARE_TIMES[per_s]] = _TIME_UNKNOWN if host_time is None else host_time
-        self._hal.save_flash(self._table)
-        self._tared_now = True
+            table.pop(_TARE_TIMES[unit], None)
+        table["tare_pa"] = tare_pa
+        table[_TARE_TIMES[per_s]] = _TIME_UNKNOWN if host_time is None else host_time
+        hal.save_flash(table)
+    return tare_mPa
 
-    def tare_is_old(self, host_time, per_s):
-        """Made before this boot and not within 12 h, as far as anybody knows.
 
-        The board has no calendar. The milliseconds of hosts of versions 1 and 2 come round after 49 days, the tenths of
-        a second of version 3 after 13 years; the one says nothing of the other. A tare that was written into flash
-        without a time was put there by somebody who knew. One from a little ahead of the host's clock is fresh: that
-        clock was set since, or it is another computer's.
-        """
-        table = self._table
-        if self._tared_now or not [unit for unit in _TARE_TIMES if _TARE_TIMES[unit] in table]:
-            return False
-        made = table.get(_TARE_TIMES[per_s])
-        if host_time is None or not isinstance(made, int) or made == _TIME_UNKNOWN:
-            return True
-        age = (host_time - made) & 0xFFFFFFFF
-        return _TARE_FOR_S * per_s < age < _HOST_ROUND - _TARE_AHEAD_S * per_s
+def _readable(hal):
+    """The table; an empty one in place of a broken one, which the next save replaces."""
+    try:
+        return hal.load_flash()
+    except ValueError:
+        return {}
+
+
+def whole(tare_pa):
+    """Four pressures in Pa as whole mPa; None where they are no tare: numbers, each a pressure that there is in air."""
+    if not isinstance(tare_pa, (list, tuple)) or len(tare_pa) != 4:
+        return None
+    if not all([isinstance(p, (int, float)) and _LOWEST_PA < p < _HIGHEST_PA for p in tare_pa]):
+        return None
+    return [int(p * 1000 + 0.5) for p in tare_pa]
+
+
+class Tare:
+    """The zero of the four sensors, what they read in air, before each dive: medians of 2 s, or None.
+
+    Made on the host's order, with the motors off: the one place that may take memory as it goes.
+    """
+
+    def __init__(self):
+        self._rows = [[], [], [], []]
+
+    def step(self, pressure_mPa):
+        """Take one reading; True once there are enough."""
+        for k in range(4):
+            self._rows[k].append(pressure_mPa[k])
+        return len(self._rows[0]) >= _SAMPLES
+
+    def result(self):
+        """The four medians in mPa, or None where the readings spread or disagree too much."""
+        rows = [sorted(row) for row in self._rows]
+        medians = [row[len(row) // 2] for row in rows]
+        spread = max([row[-1] - row[0] for row in rows])
+        if spread > _SPREAD_mPa or max(medians) - min(medians) > _DISAGREE_mPa:
+            return None
+        return medians

@@ -13,15 +13,15 @@ from micropython import const
 # Of wire.TABLE, by version of the protocol: two ends that disagree on any field never arm
 SCHEMA_CRC = (0, 0xA725AA30, 0x9345DAF7, 0xDFDC3BD1)
 
-_MAX_PLAIN = const(255)  # bytes of a frame before COBS
-_MAX_STUFFED = const(257)  # the same after COBS, without the closing zero
+_MAX_PLAIN = const(95)  # bytes of a frame before COBS
+_MAX_STUFFED = const(97)  # the same after COBS, without the closing zero
 _MAX_TEXT = const(48)  # bytes of a LOG line
 _LOG = const(0x04)
 _RESIDUE = const(0x2144DF1C)  # CRC-32 of anything with its own CRC-32 behind it
 
-# Payloads by type. LOG alone has a tail: its text in UTF-8. TELEM, which the board builds by hand, is in wire.py.
+# Payloads by type. LOG alone has a tail: its text in UTF-8. TELEM and TELEM_1, which the board builds by hand, are in
+# wire.py.
 FORMAT = {
-    0x01: "<IBBH4ihhh3h8H4HHHBBBBH",  # TELEM_1
     0x02: "<IHHhHIIHHBB",  # STATUS
     0x03: "<IBBBBhH",  # EVENT
     _LOG: "<B",

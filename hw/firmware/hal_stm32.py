@@ -68,6 +68,11 @@ class Hal(pins.Pins):
     capabilities = _CAN_WATCHDOG | _CAN_CURRENT | _CAN_LEAK | _CAN_KILL | _CAN_VERSION_2 | _CAN_VERSION_3
 
     def __init__(self):
+        import wiring
+
+        self._battery, self._current, self._probe, spi, select = wiring.connect_inputs()
+        motion = gyro.Gyro(spi, select)
+        self.yaw_rate_cdeg_s, self.gravity_mg = motion.rate_cdeg_s, motion.gravity_mg
         super().__init__()
         self.pressure_mPa = [0] * 4  # absolute
         self.answered = 0
@@ -81,14 +86,7 @@ class Hal(pins.Pins):
         self._fired_at = self._began = ticks_us()
         self._safe = _SAFE_CYCLES
         self._watchdog = None
-        self._battery = pyb.ADC(pyb.Pin("PC1"))
-        self._current = pyb.ADC(pyb.Pin("PC2"))
-        self._probe = pyb.Pin("PC4", mode=pyb.Pin.IN, pull=pyb.Pin.PULL_UP)
         self._sensors = ms5837.Sensors(open_bus(), free_bus)
-        spi = machine.SPI(2, baudrate=1000000, polarity=0, phase=0)
-        pyb.Pin("PB14", mode=pyb.Pin.ALT, pull=pyb.Pin.PULL_UP, alt=5)  # so that silence reads as 255
-        motion = gyro.Gyro(spi, pyb.Pin("PE7", mode=pyb.Pin.OUT, value=1).value)
-        self.yaw_rate_cdeg_s, self.gravity_mg = motion.rate_cdeg_s, motion.gravity_mg
         self._usb = pyb.USB_VCP()
         self._uart = None
         if "usb" in os.listdir():  # a file of this name: the tether is the board's own USB port
@@ -124,10 +122,10 @@ class Hal(pins.Pins):
         self.answered = self._sensors.step(self.pressure_mPa)
         # Blue Robotics Power Sense Module, from its product page: 11.0 V/V, 37.8788 A/V from 0.330 V on.
         if fired & 1:
-            self.battery_mv = self._battery.read() * 36300 // 4095
+            self.battery_mv = self._battery() * 36300 // 4095
         else:
-            self.current_10ma = max(0, self._current.read() * 30525 // 10000 - 1250)
-            self.leak = 0 if self._probe.value() else 1  # water pulls it down
+            self.current_10ma = max(0, self._current() * 30525 // 10000 - 1250)
+            self.leak = 0 if self._probe() else 1  # water pulls it down
         return True
 
     @property

@@ -6,7 +6,7 @@
 # 10 ms, since the step before; where some were lost the pulses stood, and so did the wrench. A step raises ValueError
 # where what the law believes is not of this world.
 #
-# This is the default law; law_pid.py and law_pi.py hold the two that it is compared with.
+# This is the default law; law_pid.py holds the two that it is compared with.
 from micropython import const
 
 _ABSURD = const(1 << 28)  # 84 m/s, 84 rad/s

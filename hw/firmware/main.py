@@ -10,9 +10,8 @@ if sys.implementation.name != "micropython":
 
 from micropython import const
 
-import failsafe
-import flash
 import motor_control
+import orders
 import tether
 
 # Of wire.py, whose numbers these are
@@ -23,13 +22,22 @@ _INFO = const(0)
 _WARNING = const(1)
 _BY_WATCHDOG = const(3)
 
+# Indices of wire.REASONS, and of failsafe.py
+_PARAMETERS = const(11)
+_WATCHDOG = const(12)
+_HOLD_AFTER_US = const(500000)
+
 # What is not done in each cycle has cycles of its own, so that no two dear things meet: telemetry in even ones (50 Hz),
 # in odd ones the rest. Cycle after cycle, what a cycle takes must stay below 10 ms.
-TELEMETRY_EVERY = 2
-STATUS_EVERY, STATUS_AT = 100, 1
-COLLECT_EVERY, COLLECT_AT = 50, 25  # what a cycle leaves is less than 200 bytes
-FEEL_EVERY, FEEL_AT = 10, 7  # where up is, if somebody knows
-LOOK_EVERY, LOOK_AT = 100, 53  # how much memory is free: looking takes 2 ms
+_TELEMETRY_EVERY = const(2)
+_STATUS_EVERY = const(100)
+_STATUS_AT = const(1)
+_COLLECT_EVERY = const(50)  # what a cycle leaves is less than 200 bytes
+_COLLECT_AT = const(25)
+_FEEL_EVERY = const(10)  # where up is, if somebody knows
+_FEEL_AT = const(7)
+_LOOK_EVERY = const(100)  # how much memory is free: looking takes 2 ms
+_LOOK_AT = const(53)
 
 
 class Firmware:
@@ -39,30 +47,34 @@ class Firmware:
         self.hal = hal
         self.control = motor_control.Control()
         hal.pulses_us = self.control.pulses_us  # one list: what control decides is what the pins show
-        self.flash = flash.Flash(hal)
-        self.tether = tether.Tether(hal, self.control, self.flash, hal.boot_info())
+        self.tether = tether.Tether(hal, self.control, hal.boot_info())
         self.cycle = 0
 
     def boot(self):
         """Read flash and announce ourselves. What is wrong there does not stop the loop: it stops arming."""
-        module, line = self.control, self.tether
+        import flash
+        import parameters
+
+        hal, module, line = self.hal, self.control, self.tether
         try:
-            self.flash.load()
+            values = flash.values(hal)
         except ValueError as error:
+            values = parameters.from_flash({})
             line.complain(str(error))
-            module.ladder.latch(failsafe.PARAMETERS)
-        module.configure(list(self.flash.saved))
+            module.ladder.latch(_PARAMETERS)
+        line.orders.saved = values
+        module.configure(list(values))
         try:
-            module.plane.tare_mPa = self.flash.tare_mPa()
+            module.plane.tare_mPa, line.orders.tared = flash.tared(hal)
         except ValueError as error:
             line.complain(str(error))
         if line.reset_cause == _BY_WATCHDOG:
             line.complain("reset by watchdog: reboot by order, then arm")
-            module.ladder.latch(failsafe.WATCHDOG)
+            module.ladder.latch(_WATCHDOG)
         line.begin_pulses()
         line.event(_EV_BOOT, 0, module.ladder.level, _INFO, line.reset_cause)
-        flash.put_away()
-        self.hal.collect()
+        orders.put_away()
+        hal.collect()
 
     def run(self):
         """Cycle until the hardware goes (False) or an order to reboot comes (True).
@@ -94,7 +106,7 @@ class Firmware:
         unsensed = None
         try:
             module.killed = hal.killed()
-            if self.cycle % FEEL_EVERY == FEEL_AT:
+            if self.cycle % _FEEL_EVERY == _FEEL_AT:
                 gravity_mg = hal.gravity_mg()
                 if gravity_mg:
                     module.plane.feel(*gravity_mg)
@@ -127,15 +139,15 @@ class Firmware:
     def _take_turns(self):
         """What it is time to tell the host, or to clean up."""
         line, cycle = self.tether, self.cycle
-        if cycle % TELEMETRY_EVERY == 0:
+        if cycle % _TELEMETRY_EVERY == 0:
             line.say_telemetry()
-        elif cycle % STATUS_EVERY == STATUS_AT:
+        elif cycle % _STATUS_EVERY == _STATUS_AT:
             line.say_status()
-        elif cycle % COLLECT_EVERY == COLLECT_AT:
-            if self.control.set_point.age_us > failsafe.HOLD_AFTER_US:
+        elif cycle % _COLLECT_EVERY == _COLLECT_AT:
+            if self.control.set_point.age_us > _HOLD_AFTER_US:
                 self.hal.light_permille = 0  # armed or not: nobody asks for light any more
             self.hal.collect()
-        elif cycle % LOOK_EVERY == LOOK_AT:
+        elif cycle % _LOOK_EVERY == _LOOK_AT:
             line.heap_free_16 = self.hal.heap_free() >> 4
         else:
             line.say_one()
@@ -151,15 +163,6 @@ def serve(hal):
         hal.reboot()
 
 
-def main(serial_fd, bus_fd, flash_path):
-    import hal_unix
-
-    try:
-        serve(hal_unix.Hal(int(serial_fd), int(bus_fd), flash_path))
-    except KeyboardInterrupt:
-        pass
-
-
 if __name__ == "__main__":
     if sys.platform == "pyboard":
         import hal_stm32
@@ -167,7 +170,12 @@ if __name__ == "__main__":
         if not hal_stm32.wants_prompt():
             serve(hal_stm32.Hal())
     elif len(sys.argv) == 4:
-        main(*sys.argv[1:])
+        import hal_unix
+
+        try:
+            serve(hal_unix.Hal(int(sys.argv[1]), int(sys.argv[2]), sys.argv[3]))
+        except KeyboardInterrupt:
+            pass
     else:
         sys.stderr.write("usage: main.py SERIAL_FD BUS_FD FLASH_PATH\n")
         sys.exit(2)

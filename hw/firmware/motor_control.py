@@ -14,7 +14,13 @@ _HOLD = const(0)
 _STABILISE = const(1)
 _BENCH = const(3)
 
-_SENSOR_HALF_MM = const(130)  # sensors sit at (+-130, +-130) mm
+# Indices of wire.REASONS
+_ORDER = const(1)
+_FAULT = const(13)
+_KILLED = const(14)
+
+_ASCENT_MM_S = const(70)
+_AFLOAT_100nm = const(800000)  # where surfacing ends: a hull lifted out of the water would plunge when motors stop
 _BATTERY_TICKS = const(100)  # thrust goes with a voltage smoothed over these: a probe's noise is not a battery's
 _STEEPEST_100nrad = const(7850000)  # net weight is carried along the robot's own axis up to this tilt
 _NEVER_US = const(1 << 29)  # an age that is past every limit and fits the board's 31 bit integers
@@ -30,6 +36,9 @@ _ESC_LIVES_MV = const(6000)
 _ESC_STARTS_US = const(2000000)
 _WATCH_US = const(40000)
 _NUDGE_SHIFT = const(5)  # of the full thrust
+_ROCK_urad_s2 = const(1200000)  # half a degree of a robot whose sensors follow, and some of one whose do not
+_STILL_uN = const(1000000)  # a push of less than 1 N is none: it may sit a few cm off the middle
+_STILL_uNm = const(100000)
 _QUIET_100nm = const(300000)  # where a robot within 3 cm and 10 degrees is at rest
 _QUIET_100nrad = const(1740000)
 _BENCH_US = const(60)  # over neutral: a propeller in air turns visibly and slowly
@@ -53,8 +62,10 @@ class SetPoint:
         self.age_us = _NEVER_US
         self.host_time = None
 
-    def is_neutral(self):
-        return not (any(self.force_uN) or any(self.tilt_100nrad) or self.yaw_uNm)
+    def is_neutral(self, push_uN=0, turn_uNm=0):
+        """Level, with no more of a push, and no more of a moment, than that."""
+        x, y = self.force_uN
+        return not any(self.tilt_100nrad) and abs(x) + abs(y) <= push_uN and abs(self.yaw_uNm) <= turn_uNm
 
     def level_out(self):
         """No tilt, no planar push."""
@@ -68,7 +79,7 @@ class Control:
         self.state = _DISARMED
         self.mode = _HOLD
         self.bench_thruster = 0  # 1-8: turns in mode BENCH; 0: none
-        self.plane = pressure.Plane(_PA_PER_M, _SENSOR_HALF_MM, _SENSOR_HALF_MM)
+        self.plane = pressure.Plane(_PA_PER_M)
         self.ladder = failsafe.Ladder()
         self.set_point = SetPoint()
         self.neutral_us = [thrust.NEUTRAL_US] * 8
@@ -112,13 +123,13 @@ class Control:
                 self.probe = failsafe.Probe(int(of["nudge_s"] * 100 + 0.5))
             self.law = law.Observer(gains.observer(of["heave_kg"], of["tilt_kgm2"], of["lag_s"]))
         elif name == "pid":
-            import law_pid  # these two take no memory where they are not wanted
+            import law_pid  # which takes no memory where it is not wanted
 
             self.law = law_pid.Pid(int(of["pid_set"]))
         else:
-            import law_pi
+            import law_pid
 
-            self.law = law_pi.Pi()
+            self.law = law_pid.Pi()
         self.plane.set_water(of["water_kg_m3"] * 9.80665)
         self._thrust_max_mN = int(of["thrust_max_N"] * 1e3 + 0.5)
         self._net_weight_uN = int(of["net_weight_N"] * 1e6)
@@ -126,6 +137,7 @@ class Control:
         self._battery_min_mv = int(of["battery_min_mV"])
         self.pulse_frame_us = of["pulse_frame_us"]
         self._checked = of["wiring"] == failsafe.WIRING
+        self._rock_uNm = int(of["tilt_kgm2"] * _ROCK_urad_s2)
         self._slew_uN = int(of["slew_N"] * 1e6 + 0.5)
         for j in range(8):
             self.neutral_us[j] = self.pulses_us[j] = int(of["zero_%d_us" % (j + 1)])
@@ -154,7 +166,7 @@ class Control:
             return False
         self.esc_us = 0
         if self.killed:
-            self.ladder.give_up(failsafe.KILLED)
+            self.ladder.give_up(_KILLED)
             self.disarm()
             return True
         if self._owed:
@@ -176,8 +188,8 @@ class Control:
         if level == failsafe.SURFACE:
             if before != level:
                 self.set_point.depth_100nm = self.plane.depth_100nm
-            rise_100nm = failsafe.ASCENT_MM_S * dt_us // 100
-            self.set_point.depth_100nm = max(failsafe.AFLOAT_100nm, self.set_point.depth_100nm - rise_100nm)
+            rise_100nm = _ASCENT_MM_S * dt_us // 100
+            self.set_point.depth_100nm = max(_AFLOAT_100nm, self.set_point.depth_100nm - rise_100nm)
         if self.mode == _BENCH:
             self._turn_one()
         else:
@@ -199,10 +211,10 @@ class Control:
         self._lost_us += dt_us
         self._failed = True
         if self._lost_us >= _LOST_US or self.mode == _BENCH:
-            self.ladder.give_up(failsafe.FAULT)
+            self.ladder.give_up(_FAULT)
             self.disarm()
         elif self._owed == _FAULTS_LIMIT * _FAULT_CYCLES:
-            self.surface(failsafe.FAULT)
+            self.surface(_FAULT)
         return self.ladder.level != before
 
     def _recover(self):
@@ -215,7 +227,7 @@ class Control:
             self._owed -= 1
             self._lost_us = 0
 
-    def surface(self, reason=failsafe.ORDER):
+    def surface(self, reason=_ORDER):
         """Go up level, whatever the set-point says, until an order to arm calls the robot back."""
         if self.ladder.level < failsafe.SURFACE:
             self.ladder.surface(reason)
@@ -241,6 +253,11 @@ class Control:
         self.law.step(y, ref, realised, want, ticks)
         if self.mode == _STABILISE:
             want[0] = 0
+        probe = self.probe
+        if probe and probe.rocking and self.ladder.level < failsafe.SURFACE:
+            rock_uNm = probe.rock() * self._rock_uNm
+            want[1] += rock_uNm
+            want[2] += rock_uNm
         # What carries the weight is none of the law's: it neither asks for it nor learns of it.
         weight = self._net_weight_uN
         if weight:
@@ -252,7 +269,6 @@ class Control:
         realised[0] -= weight
         if thrust.flat(set_point.force_uN[0], set_point.force_uN[1], set_point.yaw_uNm, full, forces):
             self.saturated |= 2
-        probe = self.probe
         nudge = probe.sign() * (full >> _NUDGE_SHIFT) if probe else 0
         if not nudge or self.saturated:
             thrust.pulses(forces, self.neutral_us, full, self.pulses_us)
@@ -273,7 +289,11 @@ class Control:
             self._look()
         probe, law = self.probe, self.law
         if probe and self.ladder.level < failsafe.SURFACE:
-            reason = probe.step(law.disturbance(1), law.disturbance(2), self._thrust_max_mN, self._quiet)
+            _, roll, pitch = self._y
+            calm = -_QUIET_100nrad < roll < _QUIET_100nrad and -_QUIET_100nrad < pitch < _QUIET_100nrad
+            reason = probe.rocked(self.plane.parity_100nm) if probe.rocking and calm else 0
+            if not reason:
+                reason = probe.step(law.disturbance(1), law.disturbance(2), self._thrust_max_mN, self._quiet)
             if reason:
                 self.ladder.suspect(reason)
 
@@ -283,8 +303,9 @@ class Control:
             push[i] = law.disturbance(i)
         deep, roll, pitch = abs(y[0] - ref[0]), abs(y[1] - ref[1]), abs(y[2] - ref[2])
         off = roll if roll > pitch else pitch
-        self.ladder.watch(self._unwatched_us, deep, off, self._cut, push)
         self._quiet = not self._cut and deep < _QUIET_100nm and off < _QUIET_100nrad
+        still = self._quiet and self.set_point.is_neutral(_STILL_uN, _STILL_uNm)
+        self.ladder.watch(self._unwatched_us, deep, off, self._cut, push, still)
         self._unwatched_us = self._cut = 0
 
     def arm_faults(self, hello, loop_max_us):
@@ -316,6 +337,8 @@ class Control:
         self._owed = self._lost_us = 0
         self._failed = False
         self._begin()
+        if self.probe:
+            self.probe.begin()
         self.state = _ARMED
 
     def _begin(self):

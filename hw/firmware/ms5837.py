@@ -11,8 +11,10 @@ from micropython import const
 _MUX = const(0x70)  # addresses on the bus
 _SENSOR = const(0x76)
 _READ_PROM = const(0xA0)
-RESET, READ_ADC = b"\x1e", b"\x00"
-CONVERT_PRESSURE, CONVERT_TEMPERATURE = b"\x48", b"\x58"  # at an oversampling of 4096: 9.04 ms at the most
+_RESET = const(b"\x1e")
+_READ_ADC = const(b"\x00")
+_CONVERT_PRESSURE = const(b"\x48")
+_CONVERT_TEMPERATURE = const(b"\x58")  # at an oversampling of 4096: 9.04 ms at the most
 _TEMPERATURE_EVERY = const(20)  # cycles: water does not warm up within 0.2 s
 _SECOND = const(100)  # cycles
 _NO_DEVICE = const(19)  # ENODEV: nobody acknowledged. Anything else, mostly ETIMEDOUT, is trouble with the wires
@@ -112,7 +114,7 @@ class Sensors:
         self._told = 0  # of these, whose raw temperature is still to be worked out
         self._d2 = [0] * 4
         self._cycle = 0  # of the 20 from temperature to temperature
-        self._begun = CONVERT_PRESSURE  # the conversion that is under way
+        self._measures_pressure = True  # the conversion that is under way
         self._took = 0  # bit mask of sensors that were given it
         self._asked = 0  # whose calibration is being read, and how far it is; -1: to be reset
         self._at = -1
@@ -131,13 +133,13 @@ class Sensors:
             bus = self._free()
             self._write, self._read = bus.writeto, bus.readfrom_into
             self._stuck = False
-        begun = self._begun
-        self._begun = CONVERT_PRESSURE if self._cycle else CONVERT_TEMPERATURE
+        measured = self._measures_pressure
+        measures = self._measures_pressure = self._cycle > 0
         self._cycle = (self._cycle + 1) % _TEMPERATURE_EVERY
-        took = self._exchange(self._begun)
+        took = self._exchange(_CONVERT_PRESSURE if measures else _CONVERT_TEMPERATURE)
         answered = took & self._took
         self._took = took
-        if begun is CONVERT_PRESSURE:
+        if measured:
             answered = pressures(self._raw, self._scale, answered & self._warm, pressures_mPa)
             if self._told:
                 self._work_out()
@@ -156,7 +158,7 @@ class Sensors:
             if known >> k & 1:
                 try:
                     write(_MUX, select[k])
-                    write(_SENSOR, READ_ADC)
+                    write(_SENSOR, _READ_ADC)
                     read(_SENSOR, places[k])
                     write(_SENSOR, order)
                     took |= 1 << k
@@ -213,7 +215,7 @@ class Sensors:
         try:
             self._write(_MUX, self._select[k])
             if i < 0:
-                self._write(_SENSOR, RESET)
+                self._write(_SENSOR, _RESET)
             else:
                 self._write(_SENSOR, bytes((_READ_PROM + 2 * i,)))
                 self._read(_SENSOR, self._word)

@@ -1,8 +1,8 @@
 # What the host may order, and the answer to each order: once executed, however often it is repeated.
+import sys
 from micropython import const
 
 import failsafe
-import flash
 
 # Of wire.py, whose numbers these are
 _DISARMED = const(0)
@@ -37,16 +37,31 @@ _EV_ARM_REFUSED = const(5)
 _UNSAVED = const(1)
 _REBOOT_MAGIC = const(0xB007B007)
 
+# Indices of wire.REASONS
+_ORDER = const(1)
+_STOP = const(10)
+
+_TARE_FOR_S = const(43200)  # the weather moves by 1 hPa, a centimetre of water, within hours
+_TARE_AHEAD_S = const(600)  # a clock without a time server goes wrong by so much in months, and weather in hours
+_HOST_ROUND = const(0x100000000)  # where the host's clock begins again
 _REMEMBERED = const(8)  # results, so that a repeat is answered and not executed again
 
 
-class Orders:
-    """Executes orders on `control` and `flash`; `line` is the tether that they came by."""
+def put_away():
+    """Drop the modules that only boot and orders to a robot at rest need: in a dive they take no memory."""
+    for name in ("flash", "parameters", "gains"):
+        sys.modules.pop(name, None)
 
-    def __init__(self, control, flash, line):
+
+class Orders:
+    """Executes orders on `control`, with what the `hal` remembers; `line` is the tether that they came by."""
+
+    def __init__(self, hal, control, line):
+        self._hal = hal
         self._control = control
-        self._flash = flash
         self._line = line
+        self.saved = []  # values of the parameters in flash
+        self.tared = None  # when, if not in this boot: how many of what the clock counts a second has, and the clock
         self._results = []  # (kind, fields, result) of the last orders
         self._tare = None  # collects, while one runs
         self._tare_fields = None  # of the order that began it
@@ -92,14 +107,14 @@ class Orders:
             self._line.fault("order", error)
             return _REFUSED
         finally:
-            flash.put_away()
+            put_away()
 
     def _execute(self, kind, fields):
         control = self._control
         if kind == _ARM:
             return self._arm()
         if kind == _DISARM or kind == _ESTOP:
-            return self._stop(failsafe.STOP if kind == _ESTOP else failsafe.ORDER)
+            return self._stop(_STOP if kind == _ESTOP else _ORDER)
         if kind == _MODE:
             return self._mode(fields[2], fields[3])
         if kind == _PARAM_GET:
@@ -112,13 +127,16 @@ class Orders:
         if kind == _PARAM_SET:
             return self._set(fields[2], fields[5])
         if kind == _PARAM_SAVE:
-            self._flash.save_parameters(control.values)
+            import flash
+
+            flash.save_values(self._hal, control.values)
+            self.saved = list(control.values)
             self.dirty = False
             return _OK
         if kind == _TARE:
-            import tare
+            import flash
 
-            self._tare = tare.Tare()
+            self._tare = flash.Tare()
             self._tare_fields = fields
             return _RUNNING
         if fields[2] != _REBOOT_MAGIC:
@@ -131,23 +149,35 @@ class Orders:
         before = control.ladder.level
         if control.killed and control.state == _DISARMED:
             self._line.revive()  # ESCs hear neutral again, and are armed once they have heard it for long enough
-        asked = control.set_point  # without one nobody knows what time it is, and an old one is refused anyway
-        control.tare_old = asked.host_time is not None and self._flash.tare_is_old(
-            asked.host_time, self._line.host_per_s()
-        )
+        control.tare_old = self._tare_is_old()
         faults = control.arm_faults(self._line.hello, self._line.slowest_us())
         if faults:
             self._line.event(_EV_ARM_REFUSED, before, before, _WARNING, faults)
             return _REFUSED
         control.arm()
-        self._line.event(_EV_ARMED, before, control.ladder.level, _INFO, failsafe.ORDER)
+        self._line.event(_EV_ARMED, before, control.ladder.level, _INFO, _ORDER)
         return _OK
+
+    def _tare_is_old(self):
+        """Made before this boot and not within 12 h, as far as anybody knows.
+
+        The board has no calendar. The milliseconds of hosts of versions 1 and 2 come round after 49 days, the tenths of
+        a second of version 3 after 13 years; the one says nothing of the other. One from a little ahead of the host's
+        clock is fresh: that clock was set since, or it is another computer's.
+        """
+        time = self._control.set_point.host_time
+        if time is None or not self.tared:  # nobody knows what time it is, and an old set-point is refused anyway
+            return False
+        unit, made = self.tared
+        if unit != self._line.host_per_s() or not isinstance(made, int) or made < 0:
+            return True
+        return _TARE_FOR_S * unit < (time - made) & 0xFFFFFFFF < _HOST_ROUND - _TARE_AHEAD_S * unit
 
     def _stop(self, reason):
         control = self._control
         before, was = control.ladder.level, control.state
         control.disarm()
-        if reason == failsafe.STOP:
+        if reason == _STOP:
             control.ladder.latch(reason)
         if was == _ARMED or before != control.ladder.level:
             self._line.event(_EV_DISARMED, before, control.ladder.level, _INFO, reason)
@@ -164,7 +194,7 @@ class Orders:
             before = control.ladder.level
             control.surface()
             if before != control.ladder.level:
-                self._line.event(_EV_LADDER, before, control.ladder.level, _INFO, failsafe.ORDER)
+                self._line.event(_EV_LADDER, before, control.ladder.level, _INFO, _ORDER)
             return _OK
         # Armed, a robot on the bench stays on the bench, and one in the water in the water.
         if armed and (mode == _BENCH) != (control.mode == _BENCH):
@@ -178,16 +208,15 @@ class Orders:
         return _OK
 
     def _set(self, i, value):
-        import parameters
+        import flash
 
-        value = float("%.6g" % value)  # what somebody typed, before float32 made 0.4 into 0.40000001
-        if i >= len(parameters.TABLE) or not parameters.in_range(i, value):
+        values = flash.with_value(self._control.values, i, value)
+        if values is None:
             return _RANGE
-        values = list(self._control.values)
-        values[i] = parameters.of_type(i, value)
+        frame_us = self._control.pulse_frame_us
         self._control.configure(values)
-        self.dirty = values != self._flash.saved
-        if parameters.NAMES[i] == "pulse_frame_us":
+        self.dirty = values != self.saved
+        if self._control.pulse_frame_us != frame_us:
             self._line.begin_pulses()
         return _OK
 
@@ -212,22 +241,20 @@ class Orders:
         except Exception as error:
             self._line.fault("tare", error)
         self._tare = None
-        flash.put_away()
+        put_away()
         self._remember(_TARE, fields, result)
         self._line.say(_ACK, fields[0], _TARE, result, self._line.boot_id)
 
     def _set_tare(self, medians_mPa, depth_m):
         """Take these pressures for those at depth_m. False where that leaves no air above the water."""
-        import tare
+        import flash
 
-        control = self._control
-        plane = control.plane
-        tare_pa = [mPa * 1e-3 - depth_m * plane.pa_per_m for mPa in medians_mPa]
-        tare_mPa = tare.whole(tare_pa)
+        plane, time = self._control.plane, self._control.set_point.host_time
+        tare_mPa = flash.save_tare(self._hal, medians_mPa, depth_m * plane.pa_per_m, time, self._line.host_per_s())
         if tare_mPa is None:
             return False
-        self._flash.save_tare(tare_pa, control.set_point.host_time, self._line.host_per_s())
         plane.tare_mPa = tare_mPa
+        self.tared = None
         return True
 
     def _remember(self, kind, fields, result):
@@ -243,5 +270,5 @@ class Orders:
 
     def _say_value(self, req_id, i):
         value, line = self._control.values[i], self._line
-        flags = _UNSAVED if value != self._flash.saved[i] else 0
+        flags = _UNSAVED if value != self.saved[i] else 0
         line.say(_PARAM_VALUE, req_id, line.boot_id, i, isinstance(value, int), flags, value)

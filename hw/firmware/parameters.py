@@ -19,14 +19,9 @@ TABLE = (
     ("curve_battery_mV", 14800, 6000, 26000, WHOLE),
     ("battery_min_mV", 12000, 0, 26000, WHOLE),
     ("slew_N", 2, 0.1, 120, REAL),
-    ("zero_1_us", 1500, 1400, 1600, WHOLE),
-    ("zero_2_us", 1500, 1400, 1600, WHOLE),
-    ("zero_3_us", 1500, 1400, 1600, WHOLE),
-    ("zero_4_us", 1500, 1400, 1600, WHOLE),
-    ("zero_5_us", 1500, 1400, 1600, WHOLE),
-    ("zero_6_us", 1500, 1400, 1600, WHOLE),
-    ("zero_7_us", 1500, 1400, 1600, WHOLE),
-    ("zero_8_us", 1500, 1400, 1600, WHOLE),
+)
+TABLE += tuple([("zero_%d_us" % j, 1500, 1400, 1600, WHOLE) for j in range(1, 9)])
+TABLE += (
     ("pulse_frame_us", 5000, 2500, 20000, WHOLE),
     # From here on since version 3 of the protocol
     ("nudge_s", 1, 0, 60, REAL),

@@ -8,6 +8,7 @@
 import math
 from micropython import const
 
+_SENSOR_HALF_MM = const(130)  # sensors sit at (+-130, +-130) mm
 _LOWEST_mPa = const(30000000)  # what an MS5837-02BA can say, 300 to 1200 mbar (data sheet)
 _HIGHEST_mPa = const(120000000)
 _ABOVE_WATER_100nm = const(1000000)  # higher is no place of a submerged robot (ArduPilot issue 9837)
@@ -24,13 +25,17 @@ _UPSIDE_DOWN_MG = const(-300)
 _UPSIDE_DOWN_LOOKS = const(3)  # of 0.1 s
 _LEAN_MG = const(130)  # 7.5 degrees
 _LEAN_LOOKS = const(15)
+# 58 degrees from upright, whichever way: the square of its sine, in 2**-9 of 1e-7. What goes over passes here, for the
+# sensors show 122 as 58 and 180 as 0.
+_OVER = const(274300000)
+_STEEP = const(5990000)  # below it in both, it is not over
 _SERIES = const(4200000)  # up to 25 degrees asin and 1/cos are the first terms of their series
 
 
 class Plane:
     """The plane through the four sensors, followed from cycle to cycle."""
 
-    def __init__(self, pa_per_m, half_x_mm, half_y_mm):
+    def __init__(self, pa_per_m):
         self.set_water(pa_per_m)
         self.tare_mPa = None  # absolute pressure of each sensor in air, before the dive
         self.zeta_100nm = [0] * 4  # depth of each sensor below its tare
@@ -38,11 +43,10 @@ class Plane:
         self.parity_100nm = 0  # zeta1 - zeta2 + zeta3 - zeta4, 0 for a plane; smoothed over 0.2 s
         self.bad = 0  # bit mask of sensors not believed
         self.bad_count = 0
+        self.over = False  # it lies on its side, or worse
         self.disagree = False  # one of them is wrong and nobody knows which
         self.upside_down = self.leans = False  # by gravity, where there is an accelerometer
         self._upside, self._leaning = 0, 0  # looks in a row
-        self._half_x_mm = half_x_mm
-        self._half_y_mm = half_y_mm
         self._last_mPa = [0] * 4
         self._same_us = [0] * 4
         self._faults = [_BAD_AFTER] * 4  # a sensor is bad until it has spoken
@@ -102,8 +106,11 @@ class Plane:
             self._parity_us += dt_us
             self.disagree = self._parity_us >= _PARITY_FOR_US
         self.depth_100nm = (z1 + z2 + z3 + z4 + 2) >> 2
-        nose = (z1 - z2 - z3 + z4) * 250 // self._half_x_mm  # sin(pitch), in 1e-7
-        left = (z3 + z4 - z1 - z2) * 250 // self._half_y_mm  # sin(roll) cos(pitch)
+        nose = (z1 - z2 - z3 + z4) * 250 // _SENSOR_HALF_MM  # sin(pitch), in 1e-7
+        left = (z3 + z4 - z1 - z2) * 250 // _SENSOR_HALF_MM  # sin(roll) cos(pitch)
+        self.over = False
+        if not (-_STEEP < nose < _STEEP and -_STEEP < left < _STEEP):
+            self.over = (nose >> 9) * (nose >> 9) + (left >> 9) * (left >> 9) > _OVER
         if -_SERIES < nose < _SERIES:
             s = nose >> 9
             square = (s * s >> 13) * 45 >> 6  # of the sine, in 1/32768

@@ -30,13 +30,14 @@ _FLAG_FRESH = const(32)
 _FLAG_KILLED = const(64)
 _FLAG_FOUND = const(128)
 _MODE_SHIFT = const(8)
+_HOLD_AFTER_US = const(500000)  # of failsafe.py
 _VALID_DEPTH = const(1)
 _VALID_ATTITUDE = const(2)
 _VALID_FORCE = const(4)
 _VALID_SERVO = const(8)
 _VALID_LIGHT = const(16)
 
-_BUILD = b"aucamp05"
+_BUILD = const(b"aucamp05")
 _TELEM_1_END = const(72)  # of the payload in the frame; behind it the yaw rate
 _RX_BYTES = const(128)  # in a cycle: three set-points; what is more waits in the port
 _EVENT_COPIES = const(3)  # events are not acknowledged
@@ -87,10 +88,10 @@ def read_set_point(payload, out):
 class Tether:
     """Both directions of the line. Its buffers are made here, once."""
 
-    def __init__(self, hal, control, flash, boot_info):
+    def __init__(self, hal, control, boot_info):
         self._hal = hal
         self._control = control
-        self.orders = orders.Orders(control, flash, self)
+        self.orders = orders.Orders(hal, control, self)
         self._uid, self.boot_id, self.reset_cause = boot_info
         self._writer = frames.Writer()
         self._framer = frames.Framer(self._on_frame)
@@ -223,7 +224,7 @@ class Tether:
             flags |= _FLAG_KILLED
         if control.ladder.found():
             flags |= _FLAG_FOUND
-        if set_point.age_us <= failsafe.HOLD_AFTER_US:
+        if set_point.age_us <= _HOLD_AFTER_US:
             flags |= _FLAG_FRESH
         roll = (3 * plane.roll_100nrad + 2618) // 5236  # of which 1745.329 are a hundredth of a degree
         pitch = (3 * plane.pitch_100nrad + 2618) // 5236

@@ -14,13 +14,14 @@ except ImportError:  # beside it, as on a board
 # The newest; 1 has no yaw rate, 2 fewer parameters, and both tell the host's clock in ms, 3 in tenths of a second.
 PROTOCOL = 3
 OLDEST = 1
-MAX_PLAIN = 255  # bytes of a frame before COBS
-MAX_STUFFED = 257  # the same after COBS, without the closing zero
+MAX_PLAIN = 95  # bytes of a frame before COBS
+MAX_STUFFED = 97  # the same after COBS, without the closing zero
 MAX_TEXT = 48  # bytes of a LOG line
 OVERHEAD = 6  # type, seq, crc
 
 TELEM_1, STATUS, EVENT, LOG = 0x01, 0x02, 0x03, 0x04
 TELEM = 0x05  # in place of TELEM_1 since version 2
+FORMAT[TELEM_1] = "<IBBH4ihhh3h8H4HHHBBBBH"
 FORMAT[TELEM] = FORMAT[TELEM_1] + "h"
 SETPOINT = 0x10
 HELLO, HELLO_ACK = 0x20, 0x21
@@ -144,6 +145,7 @@ REASONS = (
     "T2 and T3 are crossed",
     "T3 and T4 are crossed",
     "T4 and T1 are crossed",
+    "neighbouring sensors are crossed",
 )
 
 ARM_CHECKS = (

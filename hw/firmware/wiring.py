@@ -29,6 +29,18 @@ def connect_kill_switch():
     return [pin.value for pin in pins]
 
 
+def connect_inputs():
+    """Functions that read battery, current and leak probe; the bus of the gyro, and the function that selects it."""
+    import machine
+    import pyb
+
+    probe = pyb.Pin("PC4", mode=pyb.Pin.IN, pull=pyb.Pin.PULL_UP).value
+    spi = machine.SPI(2, baudrate=1000000, polarity=0, phase=0)
+    pyb.Pin("PB14", mode=pyb.Pin.ALT, pull=pyb.Pin.PULL_UP, alt=5)  # so that silence reads as 255
+    select = pyb.Pin("PE7", mode=pyb.Pin.OUT, value=1).value
+    return pyb.ADC(pyb.Pin("PC1")).read, pyb.ADC(pyb.Pin("PC2")).read, probe, spi, select
+
+
 def start(rows, frame_us, brk):
     """PWM outputs that stand at neutral: their timers, and of each output the function that sets its pulse.
 

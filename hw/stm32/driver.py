@@ -7,35 +7,20 @@ import errno
 import os
 import select
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import Future
-from pathlib import Path
 from types import TracebackType
-from typing import Literal, Protocol
+from typing import Literal
 
 import serial
 
 from agent.clock import machine
 from agent.clock.clock import Clock, Part, wait
 from agent.core.config import ConfigError
-from agent.core.step_io import Motors as Ordered
 from agent.core.step_io import SetPoint, Telemetry
 from agent.core.step_transaction import named
 from hw.firmware import parameters, wire
-from hw.firmware.failsafe import SURFACE
 from hw.stm32.protocol import Counters, Greeting, HostProtocol, Level, Outcome, StatusText
-
-# --- serial ports ---
-
-
-def open_port_path(url: str, twin_dir: Path) -> str:
-    """The path to open for a fleet file's `serial`: "twin:r1" is r1's pty, anything else is a path already."""
-    scheme, colon, name = url.partition(":")
-    if scheme != "twin" or not colon:
-        return url
-    if not name:
-        raise ConfigError(f"serial = '{url}': no robot is named; write twin:r1")
-    return str(twin_dir / f"{name}.serial")
 
 
 def reason(error: OSError) -> str:
@@ -361,74 +346,3 @@ class Stm32:
                 with self._lock:
                     self._show(True, chunk)
                     self._protocol.receive(chunk, self._clock.now_ns())
-
-
-# --- motors ---
-
-AGAIN_NS = 500_000_000  # after this long a module that still does not do what was ordered is told again
-GIVEN_UP = "to start them, put right what stopped them, and order: arm; or start this agent again with --arm"
-
-
-class Module(Protocol):
-    """The control module, as far as its motors go; nothing waits."""
-
-    @property
-    def wants_armed(self) -> bool: ...
-    def arm(self) -> None: ...
-    def emergency_stop(self) -> None: ...
-    def surface(self) -> None: ...
-    def tare(self) -> object: ...
-
-
-class Motors:
-    """Whether the motors of one robot turn, by the agent's start and by orders; the module is told so, and told again.
-
-    A stop is latched in the module: whatever becomes of this agent, only a person's order to arm undoes it.
-    A robot that surfaced because its host was silent is called back when the host is there again, but never a robot
-    that was ordered up or stopped.
-    """
-
-    def __init__(self, module: Module, arm: bool) -> None:
-        """arm: whether the agent was started with --arm."""
-        self._module = module
-        self._wish: Ordered | Literal["never armed"] = "arm" if arm else "never armed"
-        self._told_ns = 0
-
-    def obey(self, ordered: Ordered, now_ns: int) -> None:
-        """Do that from now on. A tare is done once, and refused by the module where its motors are on."""
-        if ordered == "tare":
-            self._module.tare()
-            return
-        self._wish = ordered
-        self._tell(now_ns)
-
-    def feel(self, told: Sequence[Telemetry], now_ns: int) -> None:
-        """Compare with what the module says, and tell it again."""
-        if not told or now_ns - self._told_ns < AGAIN_NS:
-            return
-        newest = told[-1]
-        turns_on = self._wish == "off" and newest.armed
-        stays_down = self._wish == "surface" and newest.armed and newest.ladder < SURFACE
-        if turns_on or stays_down or (self._wish == "arm" and surfacing_for_silence(newest)):
-            self._tell(now_ns)
-
-    def fault(self) -> str | None:
-        """What to do where they are wanted, and the module has given up."""
-        return GIVEN_UP if self._wish == "arm" and not self._module.wants_armed else None
-
-    def _tell(self, now_ns: int) -> None:
-        self._told_ns = now_ns
-        match self._wish:
-            case "off":
-                self._module.emergency_stop()
-            case "surface":
-                self._module.surface()
-            case "arm":
-                self._module.arm()
-
-
-def surfacing_for_silence(telemetry: Telemetry) -> bool:
-    """Whether the module, still armed, rises only because the host was silent for 3 s. The host is back now, and the
-    order to arm still holds; a leak, a low battery or whatever else the board found is for a person to judge."""
-    own = wire.FLAG_LEAK | wire.FLAG_BATTERY | wire.FLAG_DEGRADED | wire.FLAG_FOUND
-    return telemetry.armed and telemetry.ladder == SURFACE and not telemetry.flags & own

@@ -251,7 +251,7 @@ CURABLE = frozenset(
     }
 )
 
-
+NO_IMU = "no IMU: sensors that drift in pairs and a robot put in upside down may go unnoticed"
 LATCHED = "fault latched"
 REBOOT = "look at the robot, then `aucamp board reboot`"
 
@@ -356,6 +356,7 @@ class HostProtocol:
         self._counts = {"rx_ok": 0, "rx_bad": 0, "lost": 0, "reconnects": -1, "dropped": 0}
         self._latency_ns: int | None = None
         self._board_rx, self._board_late = (0, 0), 0
+        self._imu_boot: int | None = None  # the newest that has an IMU, or was said to have none
         self._status: dict[str, float] = {}  # for the telemetry that comes next
         self._last_text = ""
         self._begin()
@@ -392,8 +393,8 @@ class HostProtocol:
 
     @property
     def counters(self) -> Counters:
-        ok, bad = self._framer.rx_ok, self._framer.rx_bad
-        total = self._counts | {"rx_ok": self._counts["rx_ok"] + ok, "rx_bad": self._counts["rx_bad"] + bad}
+        rx_ok, rx_bad = self._counts["rx_ok"] + self._framer.rx_ok, self._counts["rx_bad"] + self._framer.rx_bad
+        total = self._counts | {"rx_ok": rx_ok, "rx_bad": rx_bad}
         return Counters(
             **total | {"reconnects": max(0, total["reconnects"])},
             latency_ns=self._latency_ns,
@@ -401,8 +402,6 @@ class HostProtocol:
             board_rx_bad=self._board_rx[1],
             board_late=self._board_late,
         )
-
-    # --- to the board ---------------------------------------------------------------------------------------------
 
     def set_point(self, asked: SetPoint, now_ns: int) -> bytes:
         """The frame of a set-point; what is beyond the wire's range is clipped."""
@@ -441,7 +440,6 @@ class HostProtocol:
         self._orders.drop(NO_BOARD)
 
     def is_answered(self) -> bool:
-        """No order waits for its answer."""
         return self._orders.current is None
 
     def due(self, now_ns: int) -> bytes:
@@ -470,8 +468,6 @@ class HostProtocol:
 
     def _frame(self, kind: int, *fields: float) -> bytes:
         return bytes(self._writer.frame(kind, *fields))
-
-    # --- from the board -------------------------------------------------------------------------------------------
 
     def receive(self, chunk: bytes, now_ns: int) -> None:
         """Take bytes that arrived at now_ns."""
@@ -518,15 +514,14 @@ class HostProtocol:
         if self._hello and boot_id == self._boot_id:
             return  # a greeting that was said already
         known = self.greeting
-        name = build.decode(errors="replace")
-        self.greeting = Greeting(name, uid.hex(), boot_id, cause, crc, capabilities)
+        self.greeting = Greeting(build.decode(errors="replace"), uid.hex(), boot_id, cause, crc, capabilities)
         if boot_id != self._boot_id and self._boot_id is not None:
             if self._stop != "rebooting":
                 self._say(self._arming.give_up("the board has restarted; arm again"))
             self._stop = "none"
         self._boot_id = boot_id
         self._hello = True
-        self.say("info", f"board {name}, boot {boot_id:08x}")
+        self.say("info", f"board {self.greeting.build}, boot {boot_id:08x}")
         if known is not None and known.boot_id != boot_id:
             self._events.clear()  # numbered anew
             again = self._set if known.uid == self.greeting.uid else {}
@@ -540,6 +535,8 @@ class HostProtocol:
             self.hung_up()
             return
         self._say(self._arming.seen(telemetry.armed))
+        if telemetry.rate_rad_s is not UNSET:
+            self._imu_boot = self._boot_id
         sent_ns = self._sent_ns.pop(set_point_seq, None)
         if sent_ns is not None:
             self._latency_ns = self._now_ns - sent_ns
@@ -565,6 +562,9 @@ class HostProtocol:
             self._hello = self._agreed = False
         if kind == wire.ARM:
             self._arming.answered(result == wire.OK, self._now_ns)
+            if result == wire.OK and self._imu_boot != self._boot_id:
+                self._imu_boot = self._boot_id
+                self.say("warning", NO_IMU)
         elif kind == wire.TARE and result == wire.OK:
             self.say("info", "tared")
         elif kind == wire.TARE:

@@ -100,9 +100,11 @@ CASES = {
     "T1, T3 crossed": Case(("overturned",), wired=crossed(1, 3)),
     "T1, T4 crossed": Case(("T4 and T1 are crossed",), wired=crossed(1, 4)),
     "T2, T3 crossed": Case(("T2 and T3 are crossed",), wired=crossed(2, 3)),
-    "sensors 1, 2 crossed": Case(("sensors disagree",), wired=sensors(1, 2)),
+    "sensors 1, 2 crossed": Case(("sensors are crossed",), wired=sensors(1, 2)),
+    "sensors 4, 1 crossed": Case(("sensors are crossed",), wired=sensors(4, 1)),
     "sensors 1, 3 crossed": Case(("overturned",), wired=sensors(1, 3)),
     "front pair drifts, no IMU": Case(("attitude contradicts",), breaks=nothing, each_tick=drift(1, 4), leans=True),
+    "left pair drifts, no IMU": Case(("attitude contradicts",), breaks=nothing, each_tick=drift(1, 2), leans=True),
     "front pair drifts, IMU": Case(
         ("attitude contradicts",), breaks=nothing, each_tick=drift(1, 4), leans=True, imu=True
     ),

@@ -38,7 +38,8 @@ from agent.process.agent_process import STEP_NS
 from agent.process.transport import Observer, Transport
 from agent.robot.fleet_reader import load_fleet
 from agent.robot.step import Agent
-from hw.stm32.driver import Motors, Stm32
+from hw.module import Motors
+from hw.stm32.driver import Stm32
 from replay.check.check import check, text
 from replay.check.reexecute import STEP_BYTES, open_boxes
 from tests.ground.page.shown import opened

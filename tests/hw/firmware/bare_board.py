@@ -23,7 +23,7 @@ def firmware_main() -> ModuleType:
     if str(FIRMWARE) not in sys.path:
         sys.path.append(str(FIRMWARE))
     main = importlib.import_module("main")
-    main.flash.put_away = lambda: None  # memory is not scarce here, and thousands of boards would read its files again
+    main.orders.put_away = lambda: None  # memory is not scarce here, and thousands of boards would read its files again
     return main
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -18,9 +19,10 @@ import pytest
 
 from hw.firmware import failsafe, thrust, wire
 from hw.firmware.failsafe import DISARM, HOLD, LATCHED, OK, SURFACE
-from hw.stm32.driver import surfacing_for_silence
+from hw.module import surfacing_for_silence
 from hw.stm32.protocol import HostProtocol
 from hw.twin.dive import LOCK_STEP_S
+from tests.hw.firmware.bare_board import FIRMWARE
 from tests.hw.firmware.diving_robot import ASCENT_M_S, HOST, HOVER, REST_N, SURFACED_M, TILTED_DEG, diving_robot
 from tests.studies import single_faults
 
@@ -31,7 +33,7 @@ AIR = [101_000_000, 101_200_000, 101_300_000, 101_100_000]
 
 def plane(**state: Any) -> Any:
     fine = {"depth_m": 0.4, "roll_deg": 0.0, "pitch_deg": 0.0, "bad_count": 0, "disagree": False, "parity_m": 0.0}
-    now = {**fine, "tare_mPa": AIR, "upside_down": False, "leans": False, **state}
+    now = {**fine, "tare_mPa": AIR, "upside_down": False, "leans": False, "over": False, **state}
     for name, unit, scale in (
         ("depth_m", "depth_100nm", 1e7),
         ("parity_m", "parity_100nm", 1e7),
@@ -97,7 +99,7 @@ def test_a_shorter_life_of_the_set_point_counts():
 
 def test_latched_is_for_ever():
     ladder = failsafe.Ladder()
-    ladder.latch(failsafe.STOP)
+    ladder.latch(wire.REASONS.index("emergency stop"))
     assert not ladder.resume()
     assert climb(5.0, ladder=ladder).level == LATCHED
 
@@ -117,7 +119,7 @@ GO = {
     "unchecked": False,
 }
 STOPPED = failsafe.Ladder()
-STOPPED.latch(failsafe.STOP)
+STOPPED.latch(wire.REASONS.index("emergency stop"))
 
 
 @pytest.mark.parametrize(
@@ -154,8 +156,16 @@ def test_arming_checks_are_reported_together():
     )
 
 
-def test_reasons_are_numbered_alike_on_both_sides():
-    assert wire.REASONS[failsafe.STOP] == "emergency stop" and wire.REASONS[failsafe.KILLED] == "kill switch"
+def test_reasons_are_numbered_alike_wherever_they_stand():
+    named = dict(ORDER="order", PARAMETERS="parameters unreadable", FAULT="control fault", KILLED="kill switch")
+    named |= dict(STOP="emergency stop", WATCHDOG="watchdog", OVERTURNED="overturned")
+    seen = set()
+    for path in FIRMWARE.glob("*.py"):
+        for name, value in re.findall(r"^_([A-Z]+) = const\((\d+)\)", path.read_text(), re.MULTILINE):
+            if name in named:
+                seen.add(name)
+                assert wire.REASONS[int(value)] == named[name], f"{path.name}: _{name}"
+    assert seen == set(named)
 
 
 # --- failsafe dive ---
@@ -309,7 +319,7 @@ def test_an_empty_battery_brings_it_up_a_sag_does_not(hovering):
 
 def test_on_its_side_it_stops_its_motors(hovering):
     robot = hovering
-    robot.dive.push("r1", (0.0, 0.0, -60.0), (0.0, 0.13, 0.0), 6.0)  # more than the thrusters can right
+    robot.dive.push("r1", (0.0, 0.0, -40.0), (0.0, 0.13, 0.0), 6.0)  # more than the thrusters can right
     robot.until(lambda: robot.tilt_deg > TILTED_DEG, 2.0)
     tilted_s = robot.until(lambda: not robot.armed, 4.0)
     assert tilted_s > 2.0 - 0.1
@@ -490,13 +500,46 @@ def test_a_push_that_does_not_end_is_the_thrusters_that_works_against_the_law(th
 def test_all_thrust_for_three_seconds_and_still_far_off_is_not_holding():
     ladder = failsafe.Ladder()
     for _ in range(299):
-        ladder.watch(CYCLE_US, 600_000, 0, True, (0, 0, 0))
-    ladder.watch(CYCLE_US, 600_000, 0, False, (0, 0, 0))
+        ladder.watch(CYCLE_US, 600_000, 0, True, (0, 0, 0), False)
+    ladder.watch(CYCLE_US, 600_000, 0, False, (0, 0, 0), False)
     for _ in range(300):
         assert climb(0.01, ladder=ladder).level == OK
-        ladder.watch(CYCLE_US, 600_000, 0, True, (0, 0, 0))
+        ladder.watch(CYCLE_US, 600_000, 0, True, (0, 0, 0), False)
     assert climb(0.01, ladder=ladder).level == SURFACE and wire.REASONS[ladder.reason].startswith("not holding")
     assert ladder.found(), "and no host that comes back calls it down again"
+
+
+def test_another_moment_that_holds_a_robot_at_rest_contradicts_its_attitude():
+    """A pair of sensors that drift leans it. A trim that stands is none, nor is what comes with a push or an order."""
+
+    def ends(*moments_uNm: int, still: bool = True) -> int:
+        ladder = failsafe.Ladder()
+        for moment_uNm in moments_uNm:
+            for _ in range(100):  # 4 s
+                ladder.watch(4 * CYCLE_US, 0, 0, False, (0, 0, moment_uNm), still)
+        return int(ladder.level)
+
+    assert ends(100_000, 100_000) == OK == ends(0, 60_000, still=False) == ends(0, 30_000)
+    assert ends(0, 60_000) == SURFACE == ends(100_000, 40_000)
+
+
+@pytest.mark.parametrize(("shows", "named"), [(5, False), (9, True)])
+def test_a_thruster_is_weak_where_two_nudges_together_show_enough(shows, named):
+    probe, said = failsafe.Probe(100), set()
+    for cycle in range(200):
+        sign = -1 if 23 <= (cycle + 1) % 100 - 6 < 69 else 1
+        said.add(probe.step(sign * shows * 520, -sign * shows * 690, 10_000, True))
+    assert (wire.REASONS.index("T1 gives little or nothing") in said) is named
+
+
+def test_sensors_that_bend_where_the_robot_is_rocked_are_crossed():
+    probe = failsafe.Probe(100)
+    assert probe.rocking and {probe.rocked(mm * 10_000) for mm in (3, 7, -4, 10)} == {0}
+    assert wire.REASONS[probe.rocked(-60_000)] == "neighbouring sensors are crossed"
+    rocked = [(probe.rocking and probe.rock(), probe.step(0, 0, 10_000, True))[0] for _ in range(300)]
+    assert rocked.count(1) == rocked.count(-1) == 46 and not any(rocked[100:]), "once after arming"
+    probe.begin()
+    assert probe.rocking
 
 
 def test_a_robot_that_surfaces_for_what_it_found_is_not_called_back_as_one_whose_host_was_silent(hovering):

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hw.firmware import gains, law, law_pi, law_pid, pressure, thrust, wire
+from hw.firmware import gains, law, law_pid, pressure, thrust, wire
 from tests.hw.desk import MICROPYTHON
 from tests.hw.firmware.bare_board import firmware_main
 from tests.hw.firmware.float_law import FloatObserver, recorded
@@ -29,7 +29,7 @@ class Loop:
 
     def __init__(self, plant: Plant, depth_m: float) -> None:
         self.plant, self.ref_m = plant, depth_m
-        self.plane = pressure.Plane(PA_PER_M, 130, 130)
+        self.plane = pressure.Plane(PA_PER_M)
         self.plane.tare_mPa = [round(1000 * p) for p in plant.tare_pa]
         self.law = law.Observer(gains.observer())
         self.realised, self.want, self.forces, self.pulses_us = [0] * 3, [0] * 3, [0] * 8, [0] * 8
@@ -95,7 +95,7 @@ def test_pid_recovers_on_the_plant_that_it_was_tuned_on():
 
 
 def test_the_papers_pi_does_not_come_to_rest_for_nothing_damps_it():
-    assert push(under(law_pi.Pi(), Loop(Plant(0, 0.30), 0.30))).settled_after_s() > 5.0
+    assert push(under(law_pid.Pi(), Loop(Plant(0, 0.30), 0.30))).settled_after_s() > 5.0
 
 
 def test_the_push_is_felt():

@@ -173,7 +173,7 @@ def test_a_control_law_that_breaks_off_again_and_again_brings_the_robot_up_under
     board.control.law.step = breaks_when(lambda: next(count) % 3 == 0, board.control.law.step)
     board.hold(3 * CONTROL._FAULTS_LIMIT + 3)
     assert ladder(board) == (failsafe.SURFACE, "control fault")
-    assert any(event[5] == failsafe.FAULT for event in board.heard(wire.EVENT))
+    assert any(event[5] == wire.REASONS.index("control fault") for event in board.heard(wire.EVENT))
     board.hold(200)
     assert board.control.state == wire.ARMED and min(board.hal.pulses_us[:4]) > 1530
     assert ladder(board)[0] == failsafe.SURFACE, "set-points do not call it back"
@@ -187,7 +187,10 @@ def test_a_control_law_that_never_works_again_stops_the_motors_after_half_a_seco
     assert board.control.state == wire.DISARMED and board.hal.pulses_us == [1500] * 8
     assert ladder(board) == (failsafe.DISARM, "control fault")
     board.hold(10)
-    assert any(event[3] == failsafe.DISARM and event[5] == failsafe.FAULT for event in board.heard(wire.EVENT))
+    assert any(
+        event[3] == failsafe.DISARM and event[5] == wire.REASONS.index("control fault")
+        for event in board.heard(wire.EVENT)
+    )
 
 
 def test_a_fault_a_second_is_made_up_for(board):
@@ -235,7 +238,7 @@ def test_a_law_that_has_left_the_world_begins_anew_instead_of_running_the_motors
     board.hold(1)
     assert board.hal.pulses_us == before
     board.hold(50)
-    assert board.control.state == wire.ARMED and all(abs(us - 1500) < 60 for us in board.hal.pulses_us)
+    assert board.control.state == wire.ARMED and all(abs(us - 1500) < 100 for us in board.hal.pulses_us)
     assert board.faults == 1
 
 

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 from typing import Any
 
 import pytest
 
-from hw.firmware import pressure, tare, thrust, wire
+from hw.firmware import pressure, thrust, wire
+from tests.hw.firmware.bare_board import firmware_main
 
+firmware_main()
+flash: Any = importlib.import_module("flash")
 CYCLE_US = 10_000
 AIR = [101_000_000, 101_200_000, 101_300_000, 101_100_000]  # mPa
 MPA_PER_M = round(1000 * wire.PA_PER_M)
@@ -29,7 +33,7 @@ def sensors(depth_m: float, roll_deg: float, pitch_deg: float) -> list[int]:
 
 def watch(readings: list[int], seconds: float = 1.0, answered: int = 15, seen: Any = None) -> Any:
     if seen is None:
-        seen = pressure.Plane(wire.PA_PER_M, 130, 130)
+        seen = pressure.Plane(wire.PA_PER_M)
         seen.tare_mPa = AIR
     for i in range(round(seconds * 100)):
         seen.step([mPa + 3000 * (i & 1) for mPa in readings], answered, CYCLE_US)
@@ -72,7 +76,7 @@ def test_one_missed_answer_is_no_fault():
 
 
 def test_stuck_only_while_the_others_move():
-    seen = pressure.Plane(wire.PA_PER_M, 130, 130)
+    seen = pressure.Plane(wire.PA_PER_M)
     seen.tare_mPa = AIR
     still = sensors(0.4, 0, 0)
     for _ in range(600):
@@ -108,9 +112,16 @@ def test_water_that_comes_all_at_once_is_no_spike():
     assert seen.depth_100nm == pytest.approx(1e6, abs=1e4)
 
 
+@pytest.mark.parametrize(
+    ("roll_deg", "pitch_deg", "over"), [(50, 0, False), (45, 30, False), (50, 40, True), (0, -80, True)]
+)
+def test_what_lies_on_its_side_is_over_whichever_way_it_leans(roll_deg, pitch_deg, over):
+    assert watch(sensors(0.6, roll_deg, pitch_deg)).over is over
+
+
 def test_tare_refuses_waves_and_water():
     def zero(*rows: list[int]) -> Any:
-        collector = tare.Tare()
+        collector = flash.Tare()
         while not collector.step(rows[len(collector._rows[0]) % len(rows)]):
             pass
         return collector.result()
@@ -121,14 +132,14 @@ def test_tare_refuses_waves_and_water():
 
 
 def test_a_tare_is_four_pressures_that_there_are_in_air():
-    assert tare.whole([101325.0, 101000, 101000.0004, 99999.9999]) == [
+    assert flash.whole([101325.0, 101000, 101000.0004, 99999.9999]) == [
         101_325_000,
         101_000_000,
         101_000_000,
         100_000_000,
     ]
     for wrong in (None, 7, "air", [101325.0] * 3, [101325.0] * 3 + ["x"], [101325.0] * 3 + [float("nan")], [0.0] * 4):
-        assert tare.whole(wrong) is None
+        assert flash.whole(wrong) is None
 
 
 def test_the_series_are_good_for_a_hundredth_of_a_degree():

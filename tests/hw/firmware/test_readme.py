@@ -82,5 +82,6 @@ def test_the_picture_of_the_wiring_is_that_of_the_firmware():
     exec(compile(source, "draw_wiring.py", "exec"), drawn)
     assert (ROOT / "docs" / "wiring.svg").read_text(encoding="utf-8") == drawn["picture"]()
     shown = {pin for wire in drawn["wires"]() for pin in wire.pins.split()}
-    used = set(re.findall(r'pyb\.Pin\("(P\w+)"', (ROOT / "hw/firmware/hal_stm32.py").read_text(encoding="utf-8")))
+    texts = "".join((ROOT / "hw/firmware" / name).read_text(encoding="utf-8") for name in ("hal_stm32.py", "wiring.py"))
+    used = set(re.findall(r'pyb\.Pin\("(P\w+)"', texts))
     assert used <= shown | {"PB10", "PB11"} and {"PC1", "PE7"} <= used

@@ -17,7 +17,8 @@ from agent.core.config import ConfigError
 from agent.core.step_io import Telemetry
 from hw.firmware import failsafe, wire
 from hw.firmware.failsafe import DISARM, HOLD, OK, SURFACE
-from hw.stm32.driver import AGAIN_NS, Motors, Stm32, open_port_path, surfacing_for_silence
+from hw.module import AGAIN_NS, Motors, open_module, serial_port, surfacing_for_silence
+from hw.stm32.driver import Stm32
 from hw.stm32.protocol import Level
 from tests.hw.stm32.driven_desk import HOVER, Port, drive
 from tests.robot.ordering import Ordering
@@ -237,10 +238,15 @@ def test_send_never_blocks_on_a_board_that_takes_nothing(tmp_path):
 
 
 def test_twin_url_and_device_path(tmp_path):
-    assert open_port_path("twin:r2", tmp_path) == str(tmp_path / "r2.serial")
-    assert open_port_path("/dev/ttyACM0", tmp_path) == "/dev/ttyACM0"
-    with pytest.raises(ConfigError, match="twin:r1"):
-        open_port_path("twin:", tmp_path)
+    assert serial_port("twin:r2", tmp_path) == str(tmp_path / "r2.serial")
+    by_path = "/dev/serial/by-path/pci-0000:00:14.0-usb-0:1:1.0"
+    for url in (by_path, f"stm32:{by_path}"):
+        assert serial_port(url, tmp_path) == by_path
+        module = open_module(url, tmp_path, SystemClock())
+        assert isinstance(module, Stm32) and module.port == by_path
+    for wrong in ("twin:", "sub:udp"):
+        with pytest.raises(ConfigError, match="twin:ROBOT, stm32:/dev/ttyACM0"):
+            open_module(wrong, tmp_path, SystemClock())
 
 
 def test_a_port_that_a_dead_twin_has_left_is_not_opened(desk, port, tmp_path):

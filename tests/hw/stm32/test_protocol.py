@@ -62,6 +62,20 @@ def test_another_schema_is_no_greeting():
     assert wire.ARM not in kinds(protocol.due(10**9))
 
 
+@pytest.mark.parametrize(("rate_cdeg_s", "warnings"), [(wire.NO_RATE, 1), (0, 0)])
+def test_arming_a_board_without_an_imu_says_so_once_a_boot(rate_cdeg_s, warnings):
+    protocol = HostProtocol(1)
+    board = FakeBoard(protocol)
+    board.greet()
+    for s in (1, 2):
+        board.telemetry(rate=rate_cdeg_s)
+        protocol.arm()
+        ((_, (req_id, _)),) = frames(protocol.due(s * 1000 * MS))
+        board.say(wire.ACK, req_id, wire.ARM, wire.OK, board.boot_id)
+        board.telemetry(rate=rate_cdeg_s)
+    assert sum(line.text.startswith("no IMU") for line in protocol.lines) == warnings
+
+
 def test_lost_frames_and_late_readers_are_counted():
     protocol = HostProtocol(1)
     board = FakeBoard(protocol)

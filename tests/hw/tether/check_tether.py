@@ -64,7 +64,7 @@ control = Thing(
     saturated=0,
     pulses_us=[1500] * 8,
 )
-line = tether.Tether(hal, control, None, (bytes(12), 1, 1))
+line = tether.Tether(hal, control, (bytes(12), 1, 1))
 asked = bytes(frames.Writer().frame(0x10, 3000, 100, -100, 900, -900, 50, 1500, 1500, 1500, 1500, 100, 31, 500, 7))
 gc.disable()
 print(taken(line.say_telemetry), taken(line.listen))

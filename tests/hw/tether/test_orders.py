@@ -155,7 +155,7 @@ def test_mode_surface_goes_up_until_armed_again(desk):
         act = desk.tick(20)
     assert min(act[1:5]) > 1550, "upwards, though the host asks for the depth that there is"
     assert desk.heard(wire.TELEM)[-1][2] == failsafe.SURFACE
-    assert any(event[5] == failsafe.ORDER for event in desk.events(wire.EV_LADDER))
+    assert any(event[5] == wire.REASONS.index("order") for event in desk.events(wire.EV_LADDER))
     desk.set_point()
     assert desk.order(wire.ARM, boot_id) == wire.OK
     desk.tick(2)
