@@ -114,7 +114,7 @@ def test_ranges_need_the_table_of_the_focus_alone(planes, tmp_path):
     assert run(str(planes), tmp_path / "map.png", 40, tmp_path / "focus.toml").startswith("11 of 24")
     assert read_rows(tmp_path / "map.csv")[0]["range_m"]
     (tmp_path / "camera.toml").write_text(known[: known.index("[focus]")] + known[known.index("[camera]") :])
-    with pytest.raises(ConfigError, match=r"camera\.toml: no table \[focus\].*by `aucamp calibrate focus`"):
+    with pytest.raises(ConfigError, match=r"camera\.toml: has no table \[focus\].*`aucamp calibrate focus`"):
         run(str(planes), tmp_path / "other.png", 40, tmp_path / "camera.toml")
 
 
