@@ -21,7 +21,7 @@ NOWHERE = 10**6, 10**6, 0  # 0.1 mm
 def fish(out: Path) -> None:
     """Three robots find a fish by their lamps and go with it."""
     seconds = 20.0
-    world = DarkFish(123, FISH_M_S, seconds)
+    world = DarkFish(126, FISH_M_S, seconds)
     world.follows_points = False
     record(world, out, seconds)
 
