@@ -252,8 +252,24 @@ def late(seed: int) -> Outcome:
         return Outcome(0.0 if refused and awake and armed_s > 4.0 else None, f"armed after {armed_s:.1f} s", 0, 0.0)
 
 
+def holds_and_is_pushed(robot: DivingRobot, dice: random.Random) -> None:
+    asked = {"depth_m": dice.uniform(0.2, 0.38), "force_n": (dice.uniform(-0.5, 0.5), 0.0)}
+    robot.asks = msgspec.structs.replace(HOVER, **asked)
+    robot.run(dice.uniform(2.0, 12.0))
+    corner = (dice.choice((-0.13, 0.13)), dice.choice((-0.13, 0.13)), 0.0)
+    robot.dive.push("r1", (dice.uniform(-3, 3), dice.uniform(-3, 3), -8.0), corner, 0.3)
+    robot.run(3.0)
+
+
+def chases(robot: DivingRobot, dice: random.Random) -> None:
+    """Forces and moments as of a robot that follows a fish: others every moment."""
+    asked = {"force_n": (dice.uniform(-2, 2), dice.uniform(-2, 2)), "yaw_moment_nm": dice.uniform(-0.2, 0.2)}
+    robot.asks = msgspec.structs.replace(HOVER, depth_m=0.3, **asked)
+    robot.run(dice.uniform(0.2, 2.0))
+
+
 def nominal(hours: float, seed: int, dive_s: float = 300.0) -> list[str]:
-    """What is said without a fault, in dives of some minutes, half of them moored."""
+    """What is said without a fault, in dives of some minutes: half of the robots are moored and pushed, half chase."""
     alarms = []
     for number in range(round(hours * 3600 / dive_s)):
         dice = random.Random(seed * 1000 + number)
@@ -265,13 +281,8 @@ def nominal(hours: float, seed: int, dive_s: float = 300.0) -> list[str]:
         with tempfile.TemporaryDirectory() as folder, diving_robot(Path(folder), currents, **options) as robot:  # type: ignore[arg-type]
             robot.arm()
             robot.loss = 0.5
-            while robot.dive.ticks < dive_s * 100 and not alarms[number:]:
-                depth_m = dice.uniform(0.2, 0.38)
-                robot.asks = msgspec.structs.replace(HOVER, depth_m=depth_m, force_n=(dice.uniform(-0.5, 0.5), 0.0))
-                robot.run(dice.uniform(2.0, 12.0))
-                corner = (dice.choice((-0.13, 0.13)), dice.choice((-0.13, 0.13)), 0.0)
-                robot.dive.push("r1", (dice.uniform(-3, 3), dice.uniform(-3, 3), -8.0), corner, 0.3)
-                robot.run(3.0)
+            while robot.dive.ticks < dive_s * 100:
+                (holds_and_is_pushed if number % 2 == 0 else chases)(robot, dice)
                 if not robot.armed or robot.ladder >= SURFACE or robot.telemetry[-1].flags & wire.FLAG_FOUND:
                     alarms.append(f"dive {number} after {robot.dive.ticks / 100:.0f} s: {robot.said[-3:]}")
                     break
