@@ -266,10 +266,8 @@ RESTS_S = 1.0  # until frames show any lens at rest: 0.2 s late, and eight lags 
 FLANK = (-1.2, -0.2)  # half widths from the peak, where a step begins and ends; clarity rises from one to the other
 FLANK_STEPS, TIMED_STEPS, TIMED_FRAMES = 9, 8, 16
 FRAME_S = 1 / 30  # of most cameras; steps begin at each eighth of it
-LATES_S, LOG_LAGS = (
-    np.linspace(-0.02, 0.25, 109),
-    np.log(np.geomspace(0.001, 0.3, 60)),
-)  # among which both are looked for
+LATES_S = np.linspace(-0.02, 0.25, 109)  # among which the lateness is looked for, and logarithms of lags
+LOG_LAGS = np.log(np.geomspace(0.001, 0.3, 60))
 LEAST_MISS, MOST_MISS = 0.02, 0.15  # rms of the fit, of a step's change of clarity
 TIME_FLOOR_S = 0.001  # an exposure is no moment, and no lens moves quite so
 

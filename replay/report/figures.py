@@ -273,8 +273,8 @@ def clarity_curves(timeline: RobotTimeline) -> Figure:
 
 
 def calibration_fit(timeline: RobotTimeline) -> Figure:
-    """h(rho), the ranges that this run's peaks gave, and below how well h is known. Raises
-    ConfigError for a camera of fixed focus."""
+    """h(rho), the ranges that this run's peaks gave, and below how well h is known. Raises ConfigError for a
+    camera of fixed focus."""
     fit = timeline.boxes[-1].calibration.swept
     figure = Figure(figsize=(WIDTH_IN, 1.35 * HEIGHT_IN), layout="constrained")
     panel, below = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))

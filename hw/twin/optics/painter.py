@@ -180,13 +180,18 @@ class Painter:
         needed = np.s_[y1 - y0 : y1 - y0 + h1, x1 - x0 : x1 - x0 + w1]
         radius = np.ascontiguousarray(radius[needed])
 
-        parts = 1 if during is None else self._parts(during, image_distance_m, float(depth[inside].min()))
-        if during is None or parts == 1:
+        if during is None:
             picture = self._lit(middle, view, image_distance_m, around, depth[needed], identity[needed])
-        else:  # everything moves, as the camera does
-            picture = self._mean(during, parts, image_distance_m, around)
-        if during is not None and middle.creatures:
-            self._smear(picture, during, parts, image_distance_m, around, float(depth[inside].min()))
+        else:
+            focal_px, nearest_m = self._index * image_distance_m / self._lens.pixel_m, float(depth[inside].min())
+            parts = parts_of(lambda share: during(share)._replace(creatures=()), focal_px, nearest_m)
+            if parts == 1:
+                picture = self._lit(middle, view, image_distance_m, around, depth[needed], identity[needed])
+            else:  # everything moves, as the camera does
+                picture = self._mean(during, parts, image_distance_m, around)
+            finer = parts_of(during, focal_px, nearest_m) if middle.creatures else parts
+            if finer > parts:
+                self._smear(picture, during, finer, image_distance_m, around)
 
         left, top, right, bottom = x - x1, y - y1, x - x1 + width, y - y1 + height
         return np.ascontiguousarray(blur(picture, radius, (left, top, right, bottom))[top:bottom, left:right])
@@ -209,21 +214,13 @@ class Painter:
         view = self._meter._view(moment, image_distance_m)
         return meter(self._meter._lit(moment, view, image_distance_m, part, *traced(view, part)))
 
-    def _parts(self, during: During, image_distance_m: float, nearest_m: float) -> int:
-        """In how many parts the exposure is drawn for all but creatures."""
-        focal_px = self._index * image_distance_m / self._lens.pixel_m
-        return parts_of(lambda share: during(share)._replace(creatures=()), focal_px, nearest_m)
-
-    def _smear(
-        self, picture: Floats, during: During, parts: int, image_distance_m: float, around: Part, nearest_m: float
-    ) -> None:
-        """Draw anew what creatures swim over, as finely as they do, where the rest is drawn in so many parts."""
+    def _smear(self, picture: Floats, during: During, parts: int, image_distance_m: float, around: Part) -> None:
+        """Draw anew what creatures swim over, in so many parts of the exposure."""
         moments = [during(share) for share in (-0.5, 0.0, 0.5)]
         patch = swum_over([self._view(moment, image_distance_m) for moment in moments], moments[0], around)
-        focal_px = self._index * image_distance_m / self._lens.pixel_m
-        if patch is not None and (finer := parts_of(during, focal_px, nearest_m)) > parts:
+        if patch is not None:
             x, y, w, h = patch[0] - around[0], patch[1] - around[1], patch[2], patch[3]
-            picture[y : y + h, x : x + w] = self._mean(during, finer, image_distance_m, patch)
+            picture[y : y + h, x : x + w] = self._mean(during, parts, image_distance_m, patch)
 
     def _mean(self, during: During, parts: int, image_distance_m: float, part: Part) -> Floats:
         """Linear radiance (h, w, 3) of a part of the frame, mean over so many parts of the exposure."""
