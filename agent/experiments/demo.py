@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import itertools
 import math
+import shutil
 from collections.abc import Mapping, Sequence
 from functools import partial
 from io import StringIO
+from pathlib import Path
 from typing import Any
 
 import msgspec
@@ -60,6 +62,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     """What can be asked."""
 
     limit_s: float = 120.0  # of a dive's own clock, as `aucamp demo` has it
+    keep: str | None = None  # a folder: recordings of dives that fail are copied there
 
 
 def run(seed: int, case: str, settings: Settings) -> list[Row]:
@@ -80,6 +83,8 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
             faults=dict(zip(("stamp_late_ms", "lens_slow_ms"), lag, strict=True)) if dive.lags else None,
             stale=dive.stale,
         )
+        if settings.keep is not None and summary["verdict"] != "pass":
+            shutil.copytree(folder / "run", Path(settings.keep) / f"{case}-{seed}")
     (target,) = summary["targets"].values()
     judge = of_fish if case == "fish" else of_stone if case == "box" else of_ball
     doubted = any(row["verdict"] != "consistent" for row in target["agents"].values())

@@ -1,10 +1,14 @@
 """What is counted of the dives of `aucamp demo`: each by its worst robot."""
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 
 from agent.demo.summary import BARS
+from agent.experiments import demo
 from agent.experiments.claim import Quantile, Share, measure, verdict
-from agent.experiments.demo import CLAIM, DIVES, of_ball, summary
+from agent.experiments.demo import CLAIM, DIVES, Settings, of_ball, run, summary
 
 
 def ball(*errors: float | None) -> dict:
@@ -40,3 +44,21 @@ def test_every_case_tells_all_its_figures() -> None:
     of_case["stale"] = {"told": 1}
     rows = {case: [{**dive(0.1), **of_case.get(case, {})}] for case in DIVES}
     assert set(summary(rows)) == {figure.key for figure in CLAIM.figures}
+
+
+@pytest.mark.parametrize("verdict", ["pass", "fail"])
+def test_what_a_failed_dive_recorded_is_kept_where_asked(
+    verdict: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = {"r0": {**ball(0.1)["agents"]["r0"], "verdict": "consistent", "faults": []}}
+
+    def dived(*asked: Any, **_: Any) -> tuple[None, dict[str, Any]]:
+        folder = asked[5]
+        folder.mkdir()
+        (folder / "r0.mcap").write_bytes(b"recorded")
+        return None, {"targets": {"ball": {"agents": rows}}, "verdict": verdict}
+
+    monkeypatch.setattr(demo, "demo", dived)
+    (row,) = run(7, "tank", Settings(keep=str(tmp_path / "kept")))
+    assert row["passed"] == (verdict == "pass")
+    assert (tmp_path / "kept" / "tank-7" / "r0.mcap").exists() == (verdict == "fail")
