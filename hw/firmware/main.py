@@ -21,6 +21,7 @@ _EV_LADDER = const(4)
 _INFO = const(0)
 _WARNING = const(1)
 _BY_WATCHDOG = const(3)
+_TO_PROMPT = const(2)  # of orders.py
 
 # Indices of wire.REASONS, and of failsafe.py
 _PARAMETERS = const(11)
@@ -77,7 +78,7 @@ class Firmware:
         hal.collect()
 
     def run(self):
-        """Cycle until the hardware goes (False) or an order to reboot comes (True).
+        """Cycle until the hardware goes (0), or an order to reboot comes (Orders.reboot).
 
         Where the hardware itself fails, or somebody interrupts, the motors stop before it is told.
         """
@@ -85,8 +86,8 @@ class Firmware:
             while self.hal.wait_tick():
                 self.step()
                 if self.tether.orders.reboot:
-                    return True
-            return False
+                    return self.tether.orders.reboot
+            return 0
         except BaseException as error:
             self.control.disarm()
             self.hal.armed = _DISARMED
@@ -158,17 +159,17 @@ def serve(hal):
     while True:
         firmware = Firmware(hal)
         firmware.boot()
-        if not firmware.run():
+        reboot = firmware.run()
+        if not reboot:
             return
-        hal.reboot()
+        hal.reboot(reboot == _TO_PROMPT)
 
 
 if __name__ == "__main__":
     if sys.platform == "pyboard":
         import hal_stm32
 
-        if not hal_stm32.wants_prompt():
-            serve(hal_stm32.Hal())
+        serve(hal_stm32.Hal())
     elif len(sys.argv) == 4:
         import hal_unix
 

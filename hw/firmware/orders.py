@@ -36,6 +36,7 @@ _EV_DISARMED = const(3)
 _EV_ARM_REFUSED = const(5)
 _UNSAVED = const(1)
 _REBOOT_MAGIC = const(0xB007B007)
+_PROMPT_MAGIC = const(0xB0070EE1)
 
 # Indices of wire.REASONS
 _ORDER = const(1)
@@ -68,7 +69,7 @@ class Orders:
         self._list_req_id = self._list_next = 0
         self._listing = False
         self.dirty = False  # a value in force is not in flash
-        self.reboot = False  # at the end of this cycle
+        self.reboot = 0  # at the end of this cycle: 1 into the firmware, 2 to the prompt
 
     def forget(self):
         """Another host: its request numbers begin again."""
@@ -139,10 +140,8 @@ class Orders:
             self._tare = flash.Tare()
             self._tare_fields = fields
             return _RUNNING
-        if fields[2] != _REBOOT_MAGIC:
-            return _RANGE
-        self.reboot = True
-        return _OK
+        self.reboot = 1 if fields[2] == _REBOOT_MAGIC else 2 if fields[2] == _PROMPT_MAGIC else 0
+        return _OK if self.reboot else _RANGE
 
     def _arm(self):
         control = self._control

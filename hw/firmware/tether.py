@@ -37,7 +37,7 @@ _VALID_FORCE = const(4)
 _VALID_SERVO = const(8)
 _VALID_LIGHT = const(16)
 
-_BUILD = const(b"aucamp05")
+_BUILD = const(b"aucamp06")
 _TELEM_1_END = const(72)  # of the payload in the frame; behind it the yaw rate
 _RX_BYTES = const(128)  # in a cycle: three set-points; what is more waits in the port
 _EVENT_COPIES = const(3)  # events are not acknowledged

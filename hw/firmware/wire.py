@@ -89,6 +89,7 @@ HOLD, STABILISE, SURFACE, BENCH = 0, 1, 2, 3
 UNSAVED = 1  # PARAM_VALUE flags: it is not what is in flash
 
 REBOOT_MAGIC = 0xB007B007  # a flipped bit in another command shall not restart a robot
+PROMPT_MAGIC = 0xB0070EE1  # REBOOT with this one ends at MicroPython's prompt, on the tether (boot.py)
 
 # HELLO_ACK capabilities, and reset causes as MicroPython's machine module numbers them on an STM32; 5 is ours
 CAN_WATCHDOG, CAN_CURRENT, CAN_LEAK, CAN_KILL, SIMULATED = 1, 2, 4, 8, 16

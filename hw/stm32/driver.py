@@ -194,9 +194,12 @@ class Stm32:
         """All values in force go to the board's flash."""
         return self._ask(wire.PARAM_SAVE)
 
-    def reboot(self) -> Future[Outcome]:
-        """Refused while armed. The one way out of a latched fault short of pulling the plug."""
-        return self._ask(wire.REBOOT, wire.REBOOT_MAGIC)
+    def reboot(self, to_prompt: bool = False) -> Future[Outcome]:
+        """Refused while armed. The one way out of a latched fault short of pulling the plug.
+
+        to_prompt: MicroPython's prompt follows in place of the firmware (agent.ground.board_update): then `leave`.
+        """
+        return self._ask(wire.REBOOT, wire.PROMPT_MAGIC if to_prompt else wire.REBOOT_MAGIC)
 
     @property
     def greeting(self) -> Greeting | None:
@@ -222,13 +225,17 @@ class Stm32:
 
     def _end(self, kind: int, *fields: float) -> None:
         """A last order, then the port."""
-        if self._thread is None:
-            return
         with self._lock:
             connected = self._connected
-        if connected:
+        if self._thread is not None and connected:
             self._stop(kind, *fields)
             machine.wait(self._silent, LAST_ORDER_S / min(max(self._clock.rate(), SLOWEST), 1.0))
+        self.leave()
+
+    def leave(self) -> None:
+        """Close the port without a word: behind it is a prompt, or nobody."""
+        if self._thread is None:
+            return
         self._closing.set()
         self._wake()
         self._thread.join(2.0)

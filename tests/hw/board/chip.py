@@ -48,6 +48,8 @@ class Chip:
         self.gyro = FakeGyro()
         self.received = bytearray()
         self.cause = 1
+        self.main = ""  # what boot.py has said shall run
+        self.count: Callable[[object], None] | None = None  # timer 14, once a second
         self.backup: dict[int, int] = {}
         self.files_synced = 0
 
@@ -145,6 +147,10 @@ class Chip:
             USB_VCP=lambda: SimpleNamespace(any=lambda: 0, isconnected=lambda: False),
             Timer=timer,
             rng=lambda: 0x3FFFFFFF,
+            usb_mode=lambda mode: chip.log.append(("usb", mode)),
+            UART=lambda number, baudrate, read_buf_len: SimpleNamespace(number=number),
+            repl_uart=lambda uart: chip.log.append(("repl", uart.number)),
+            main=lambda path: setattr(chip, "main", path),
             wfi=chip.sleep_until_interrupt,
         )
         machine = SimpleNamespace(
@@ -158,6 +164,7 @@ class Chip:
         )
         stm = SimpleNamespace(
             RTC=0x40002800,
+            RTC_BKP18R=152,
             RTC_BKP19R=156,
             mem32=Backup(self),
             TIM1=0x40010000,
@@ -258,6 +265,9 @@ class Timer:
         self.frame = value + 1
 
     def callback(self, function: Callable[[object], None]) -> None:
+        if self.number == 14:
+            self._chip.count = function
+            return
         self._chip.on_tick = function
         self._chip.next_tick_us = self._chip.us + TICK_US
 

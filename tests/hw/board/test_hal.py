@@ -166,14 +166,6 @@ def test_a_reset_by_order_is_told_from_one_by_the_pin(hal, chip):
     assert hal.boot_info()[2] == 2, "the mark is for one boot"
 
 
-def test_a_bridge_on_pb1_asks_for_a_prompt(hal_stm32, chip):
-    """A pin that MicroPython itself does not look at while it boots, as it does at the button on PA0."""
-    assert not hal_stm32.wants_prompt()
-    chip.levels["PB1"] = 0
-    assert hal_stm32.wants_prompt()
-    assert "PA0" not in {entry[1] for entry in chip.log}
-
-
 def test_a_timeout_of_the_bus_is_two_of_the_driver_s_milliseconds(hal, chip):
     """It waits for its clock to have moved so often: with one, a tick in the midst of a sound transfer would end it."""
     assert [entry for entry in chip.log if entry[0] == "i2c"] == [("i2c", 2, 400_000, 2000)]

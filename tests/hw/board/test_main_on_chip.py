@@ -139,6 +139,62 @@ def test_an_order_to_reboot_is_known_after_it(bench):
     assert bench.hal.boot_info()[2] == wire.BY_ORDER
 
 
+def test_an_order_to_the_prompt_ends_there_over_the_tether(bench):
+    bench.say(wire.HELLO, wire.PROTOCOL, wire.schema_crc(), 1)
+    bench.run(5)
+    boot_id = bench.all_of(wire.HELLO_ACK)[-1][4]
+    bench.say(wire.REBOOT, 3, boot_id, wire.PROMPT_MAGIC ^ 1)
+    bench.say(wire.REBOOT, 4, boot_id, wire.PROMPT_MAGIC)
+    bench.run(2)
+    assert [fields[2] for fields in bench.all_of(wire.ACK)[-2:]] == [wire.RANGE, wire.OK]
+    with pytest.raises(Reset):
+        bench.hal.reboot(bench.firmware.tether.orders.reboot == 2)
+    boot(bench.chip)
+    assert ("repl", 2) in bench.chip.log and not Path(bench.chip.main).exists()
+    with pytest.raises(Reset):
+        for _ in range(600):
+            bench.chip.count(None)
+    boot(bench.chip)
+    assert bench.chip.main == "a/main.py", "once: a board that is left at its prompt goes back"
+
+
+# --- boot.py ---
+
+
+def boot(chip: Chip) -> None:
+    """As after a reset."""
+    chip.main, chip.count = "", None
+    sys.modules.pop("boot", None)
+    importlib.import_module("boot")
+
+
+def test_a_bridge_on_pb1_asks_for_a_prompt(hal_stm32, chip):
+    """A pin that MicroPython itself does not look at while it boots, as it does at the button on PA0."""
+    boot(chip)
+    assert chip.main == "a/main.py" and ("usb", "VCP") in chip.log
+    chip.levels["PB1"] = 0
+    boot(chip)
+    assert not Path(chip.main).exists() and "PA0" not in {entry[1] for entry in chip.log}
+
+
+@pytest.mark.parametrize("runs", ["a", "b"])
+def test_a_set_on_trial_runs_once(hal_stm32, chip, runs):
+    other = "b" if runs == "a" else "a"
+    if runs == "b":
+        Path("second").touch()
+    boot(chip)
+    assert chip.main == f"{runs}/main.py" and chip.count is None and sys.path[0] == runs
+    Path("trial").touch()
+    boot(chip)
+    assert chip.main == f"{other}/main.py" and chip.files_synced and sys.path[0] == other
+    assert chip.backup[0x40002850 + 18 * 4] == ord(other) and ("watchdog", 8000) in chip.log
+    with pytest.raises(Reset):
+        for _ in range(120):
+            chip.count(None)
+    boot(chip)
+    assert chip.main == f"{runs}/main.py" and chip.count is None
+
+
 def test_what_only_a_robot_at_rest_needs_is_there_for_its_orders_alone(bench):
     def held() -> set[str]:
         return sys.modules.keys() & {"parameters", "tare", "gains"}
@@ -221,8 +277,9 @@ def folder(tmp_path: Path) -> Path:
 def test_everything_that_the_board_imports_is_there_and_nothing_else(folder):
     folder.mkdir()
     (folder / "of_an_older_release.mpy").touch()
-    names = {path.name for path in board_files.build(folder)}
-    assert {path.name for path in folder.iterdir()} == names
+    made = board_files.build(folder)
+    names = {path.name for path in made}
+    assert set(made) == {folder / "boot.py", *(folder / "a").iterdir()} == {*folder.glob("*.*"), *folder.glob("a/*")}
     assert {
         "main.py",
         "boot.py",
@@ -249,5 +306,5 @@ def test_they_are_for_the_processor_that_is_on_the_board(folder):
 
 
 def test_the_readme_copies_what_was_made():
-    (command,) = re.findall(r"mpremote cp (.*) :\n", README)
-    assert command.split() == ["build/firmware/*.mpy", "build/firmware/boot.py", "build/firmware/main.py"]
+    (command,) = re.findall(r"mpremote cp -r (.*) :\n", README)
+    assert command.split() == ["build/firmware/boot.py", "build/firmware/a"]

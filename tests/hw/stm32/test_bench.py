@@ -142,7 +142,7 @@ def test_info_tare_and_params(at_desk):
     desk, path = at_desk
     said: list[str] = []
     board.run("info", path, "r1", said.append)
-    assert any("firmware aucamp05" in line for line in said) and any("tared" in line for line in said)
+    assert any("firmware aucamp06" in line for line in said) and any("tared" in line for line in said)
     assert any("battery 15.00 V, 1.0 A" in line for line in said)
     desk.pressure_pa = [AIR_PA + 40.0] * 4
     board.run("tare", path, "r1", said.append)
