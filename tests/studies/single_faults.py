@@ -284,6 +284,7 @@ def nominal(hours: float, seed: int, dive_s: float = 300.0) -> list[str]:
             while robot.dive.ticks < dive_s * 100:
                 (holds_and_is_pushed if number % 2 == 0 else chases)(robot, dice)
                 if not robot.armed or robot.ladder >= SURFACE or robot.telemetry[-1].flags & wire.FLAG_FOUND:
+                    robot.run(2.0)  # until it has said why
                     alarms.append(f"dive {number} after {robot.dive.ticks / 100:.0f} s: {robot.said[-3:]}")
                     break
     return alarms
