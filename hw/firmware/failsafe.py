@@ -26,6 +26,8 @@ _NUDGE_LATE = const(6)
 _WEAK_SHOWS = const(4)
 _WEAK_SHOWS_TWICE = const(14)  # both times together: currents show as much once
 _CROSSED_SHOWS = const(14)
+_TIMES = const(2)  # in a row, of a robot that shall stay where it is
+_TIMES_UNDER_WAY = const(4)  # of one that is asked to go somewhere: what pushes it changes as nudges do
 _BENT_100nm = const(80000)  # out of the plane, where motion makes 4 mm
 
 # Indices of wire.REASONS
@@ -194,8 +196,8 @@ class Probe:
 
     def begin(self):
         """From the first nudge after arming."""
-        self._at = self._named = self._roll = self._pitch = self._small = 0
-        self._quiet = True  # since the nudge began
+        self._at = self._named = self._times = self._roll = self._pitch = self._small = 0
+        self._quiet = self._still = True  # since the nudge began
         self._parity = None  # at the beginning
         self.rocking = True  # once, to see whether its sensors follow
 
@@ -219,13 +221,15 @@ class Probe:
         bent = parity_100nm - self._parity
         return 0 if -_BENT_100nm < bent < _BENT_100nm else _SENSORS_CROSSED
 
-    def step(self, roll, pitch, full_mN, quiet):
+    def step(self, roll, pitch, full_mN, quiet, still):
         """End a cycle with the moments that the law believes in, uNm, and the full thrust, mN. What does not do what it
-        is told, as an index of wire.REASONS, where two nudges in a row have shown the same; else 0. A nudge that was
-        not given in quiet shows nothing: a robot on its way moves anyway."""
+        is told, as an index of wire.REASONS, where nudges in a row have shown the same; else 0. A nudge that was not
+        given in quiet, the robot level and at its depth, shows nothing; still: nobody asks it to go anywhere either."""
         self._at = (self._at + 1) % self._every
         if not quiet:
             self._quiet = False
+        if not still:
+            self._still = False
         late = self._at - _NUDGE_LATE
         if 0 <= late < 4 * _NUDGE_PART:
             if _NUDGE_PART <= late < 3 * _NUDGE_PART:
@@ -239,11 +243,12 @@ class Probe:
             if not self._quiet:
                 named = 0
             self._roll = self._pitch = 0
-            self._quiet = True
-            self.rocking = False
             small = min(abs(roll), abs(pitch))
-            again, self._named = named == self._named, named
+            self._times, self._named = self._times + 1 if named == self._named else 1, named
+            again = self._times >= (_TIMES if self._still else _TIMES_UNDER_WAY)
             both, self._small = small + self._small, small
+            self._quiet = self._still = True
+            self.rocking = False
             return named if again and (named >= _CROSSED or both >= _WEAK_SHOWS_TWICE) else 0
         return 0
 

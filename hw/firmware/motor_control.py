@@ -103,7 +103,7 @@ class Control:
         self._realised = [0] * 3
         self._push = [0] * 3
         self._unwatched_us = self._cut = 0  # since the last look; whether thrust was cut meanwhile
-        self._quiet = False  # at the last look the robot was at rest
+        self._quiet = self._still = False  # at the last look it was level and at its depth; and shall stay there
         self.values = []  # of the parameters; configure() comes before anything else
         self.law = None
 
@@ -293,7 +293,8 @@ class Control:
             calm = -_QUIET_100nrad < roll < _QUIET_100nrad and -_QUIET_100nrad < pitch < _QUIET_100nrad
             reason = probe.rocked(self.plane.parity_100nm) if probe.rocking and calm else 0
             if not reason:
-                reason = probe.step(law.disturbance(1), law.disturbance(2), self._thrust_max_mN, self._quiet)
+                roll, pitch = law.disturbance(1), law.disturbance(2)
+                reason = probe.step(roll, pitch, self._thrust_max_mN, self._quiet, self._still)
             if reason:
                 self.ladder.suspect(reason)
 
@@ -304,8 +305,8 @@ class Control:
         deep, roll, pitch = abs(y[0] - ref[0]), abs(y[1] - ref[1]), abs(y[2] - ref[2])
         off = roll if roll > pitch else pitch
         self._quiet = not self._cut and deep < _QUIET_100nm and off < _QUIET_100nrad
-        still = self._quiet and self.set_point.is_neutral(_STILL_uN, _STILL_uNm)
-        self.ladder.watch(self._unwatched_us, deep, off, self._cut, push, still)
+        self._still = self._quiet and self.set_point.is_neutral(_STILL_uN, _STILL_uNm)
+        self.ladder.watch(self._unwatched_us, deep, off, self._cut, push, self._still)
         self._unwatched_us = self._cut = 0
 
     def arm_faults(self, hello, loop_max_us):

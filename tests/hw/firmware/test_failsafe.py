@@ -523,12 +523,16 @@ def test_another_moment_that_holds_a_robot_at_rest_contradicts_its_attitude():
     assert ends(0, 60_000) == SURFACE == ends(100_000, 40_000)
 
 
-@pytest.mark.parametrize(("shows", "named"), [(5, False), (9, True)])
-def test_a_thruster_is_weak_where_two_nudges_together_show_enough(shows, named):
+@pytest.mark.parametrize(
+    ("shows", "still", "nudges", "named"),
+    [(5, True, 4, False), (9, True, 1, False), (9, True, 2, True), (9, False, 3, False), (9, False, 4, True)],
+)
+def test_a_thruster_is_weak_where_nudges_together_show_enough(shows, still, nudges, named):
+    """Two of them; four of a robot under way, whose pushes change as nudges do."""
     probe, said = failsafe.Probe(100), set()
-    for cycle in range(200):
+    for cycle in range(100 * nudges):
         sign = -1 if 23 <= (cycle + 1) % 100 - 6 < 69 else 1
-        said.add(probe.step(sign * shows * 520, -sign * shows * 690, 10_000, True))
+        said.add(probe.step(sign * shows * 520, -sign * shows * 690, 10_000, True, still))
     assert (wire.REASONS.index("T1 gives little or nothing") in said) is named
 
 
@@ -536,7 +540,7 @@ def test_sensors_that_bend_where_the_robot_is_rocked_are_crossed():
     probe = failsafe.Probe(100)
     assert probe.rocking and {probe.rocked(mm * 10_000) for mm in (3, 7, -4, 10)} == {0}
     assert wire.REASONS[probe.rocked(-60_000)] == "neighbouring sensors are crossed"
-    rocked = [(probe.rocking and probe.rock(), probe.step(0, 0, 10_000, True))[0] for _ in range(300)]
+    rocked = [(probe.rocking and probe.rock(), probe.step(0, 0, 10_000, True, True))[0] for _ in range(300)]
     assert rocked.count(1) == rocked.count(-1) == 46 and not any(rocked[100:]), "once after arming"
     probe.begin()
     assert probe.rocking
