@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from agent.core.config import ConfigError, write_whole, writing
 from agent.core.ranging.camera_model import FocusFit, load_focus
 from agent.core.ranging.focus import FARTHEST_M, Array, NoPeak, at_tilt, h
-from agent.perception.depth_peaks import TEXTS, BoxRange, GridPeaks, any_part, as_json, box_range, each_part
+from agent.perception.depth_peaks import TEXTS, BoxRange, GridPeaks, any_part, as_json, box_range, cuts, each_part
 from agent.perception.depth_sweep import DepthMap, OnStep, measure, sweep
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import parse_box
@@ -346,6 +346,8 @@ def run(
         f"{np.count_nonzero(blocks)} of {blocks.size} blocks have a clear peak{also}, "
         f"the picture grew by {result.growth:.1%}: {files}"
     ]
+    if cuts(block) == 1:
+        said.append(f"blocks of {block} px are too small to be asked whether they hold two depths; take 20 px or more")
     if result.moved_px:
         said.append(f"the picture moved by {result.moved_px:.0f} px during the sweep, which was undone: fix the camera")
     if focus is not None and calibration is not None:

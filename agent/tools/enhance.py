@@ -7,7 +7,7 @@ The output is always 8-bit colour, PNG for images and for the frames of a camera
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from pathlib import Path
 from typing import Literal, NamedTuple
@@ -17,7 +17,7 @@ import numpy as np
 from rich.console import Console
 
 from agent.core.config import ConfigError
-from agent.perception.enhancement.enhance import BUDGET_MS, Enhancer, Image, Variant, enhancer
+from agent.perception.enhancement.enhance import BUDGET_MS, Image, Variant, enhancer, needs_nothing
 from agent.process.command import Progress, new_file, new_folder, with_bar
 from hw.camera import open_camera
 from hw.camera.camera import Camera, CameraGone, Frame
@@ -187,7 +187,15 @@ def _shots(url: str, frames: int | None) -> Iterator[Picture]:
 FRAMES = 30  # of a camera, unless told
 
 
-Render = Callable[[Image], Image]  # from a picture to what is written of it
+class Change(NamedTuple):
+    """What became of one picture."""
+
+    name: str
+    levels: float  # of 255, by which it changed in the mean
+    kept: float  # share of it that stayed, for it needs nothing
+
+
+Render = Callable[[Picture], Image]
 
 
 def run(
@@ -208,10 +216,11 @@ def run(
     way = enhancer(variant, weights, BUDGET_MS if found.kind == "camera" else None)
     if way.why:
         console.print(f"{way.variant}: {way.why}")
-    render = side_by_side_with(way) if side_by_side else way.apply
+    changes: list[Change] = []
+    render = told(way.apply, changes, side_by_side)
     make_folder(out.parent if one else out)
     if one:
-        write_picture(out, render(next(found.each).image))
+        write_picture(out, render(next(found.each)))
     elif found.kind == "video":
         with_bar(console, "enhance", lambda show: enhanced_film(found, out / f"{Path(source).stem}.mp4", render, show))
     else:
@@ -220,12 +229,37 @@ def run(
         console.print(note)
     for problem in found.problems:
         console.print(f"skipped: {problem}" if found.kind == "images" else problem)
+    for line in summed_up(changes, found.kind == "images"):
+        console.print(line)
     console.print(f"written to {out}")
     return 1 if found.problems else 0
 
 
-def side_by_side_with(way: Enhancer) -> Render:
-    return lambda image: np.hstack([image, way.apply(image)])
+def told(apply: Callable[[Image], Image], changes: list[Change], side_by_side: bool) -> Render:
+    """From a picture to what is written of it; how much it changed is noted."""
+
+    def render(picture: Picture) -> Image:
+        after = apply(picture.image)
+        by = float(np.abs(after.astype(np.int16) - picture.image).mean())
+        changes.append(Change(picture.name, by, needs_nothing(picture.image)))
+        return np.hstack([picture.image, after]) if side_by_side else after
+
+    return render
+
+
+def summed_up(changes: Sequence[Change], by_name: bool) -> Iterator[str]:
+    """A line for each image; of a film or a camera one for all."""
+    if by_name:
+        for change in changes:
+            kept = f", {100 * change.kept:.0f} % of it left as it is: it needs little" if change.kept else ""
+            yield f"{change.name}: changed by {change.levels:.1f} levels{kept}"
+    elif changes:
+        levels = sorted(change.levels for change in changes)
+        spared = sum(change.kept == 1.0 for change in changes)
+        yield (
+            f"{len(changes)} frames: changed by {levels[len(levels) // 2]:.1f} levels in the median, "
+            f"{levels[0]:.1f} to {levels[-1]:.1f}; {spared} need nothing and are as they came"
+        )
 
 
 def make_folder(out: Path) -> None:
@@ -243,7 +277,7 @@ def stills(found: Pictures, out: Path, render: Render, show: Progress) -> None:
         name = f"{picture.name}.png" if name in used else name
         used.add(name)
         file = out / name
-        write_picture(file, render(picture.image))
+        write_picture(file, render(picture))
         show(done, found.total or done)
     if found.total:
         show(found.total, found.total)  # with those that were skipped
@@ -253,7 +287,7 @@ def enhanced_film(found: Pictures, file: Path, render: Render, show: Progress) -
     """One MP4 with the rate of the source."""
     with film(file, found.rate_hz or 30.0) as made:
         for done, picture in enumerate(found.each, start=1):
-            made.add(render(picture.image))
+            made.add(render(picture))
             show(done, max(found.total or done, done))
 
 

@@ -38,6 +38,47 @@ if TYPE_CHECKING:
 Variant = Literal["plain", "folded", "fast", "classic", "auto"]
 Image = NDArray[np.uint8]
 
+# --- what needs nothing ---
+#
+# Water takes red first. A picture in which red reaches as far as it would in air, and in which some bright things are
+# warm, lacks nothing that an enhancement could bring back: its blue is the water's own, and stays. None of 108 real
+# pictures that were made better by people passes both, and 98 of what people made of them does.
+
+AS_SEEN_PX = 160 * 120  # in which that is looked at
+RED_RANGE = (0.55, 0.65)  # from the darkest hundredth to the brightest, full scale 1: below no, above yes
+WARM_SHARE = (0.01, 0.04)  # of the pixels
+WARM, BRIGHT = 0.95, 0.25  # red against the stronger of the others; full scale 1
+
+
+def needs_nothing(image: Image) -> float:
+    """From 0, enhance it, to 1, leave it as it is; between them, so much of it stays."""
+    height, width = image.shape[:2]
+    shrink = max(1.0, math.sqrt(height * width / AS_SEEN_PX))
+    size = max(1, round(width / shrink)), max(1, round(height / shrink))
+    seen = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32) / np.float32(255)
+    blue, green, red = cv2.split(seen)
+    dark, bright = np.percentile(red, (1, 99))
+    warm = (red >= WARM * cv2.max(blue, green)) & (seen.max(axis=2) > BRIGHT)
+    return min(_ramp(bright - dark, *RED_RANGE), _ramp(float(warm.mean()), *WARM_SHARE))
+
+
+def _ramp(value: float, low: float, high: float) -> float:
+    return min(max((value - low) / (high - low), 0.0), 1.0)
+
+
+def sparing(way: Callable[[Image], Image]) -> Callable[[Image], Image]:
+    """The same for a picture that needs it; of one that does not, so much stays as it is."""
+
+    def apply(image: Image) -> Image:
+        kept = needs_nothing(image)
+        if kept == 1.0:
+            return image.copy()
+        after = way(image)
+        return after if kept == 0.0 else np.asarray(cv2.addWeighted(image, kept, after, 1.0 - kept, 0.0), np.uint8)
+
+    return apply
+
+
 # --- classic: white balance and local contrast, which the network has to beat ---
 
 MAX_GAIN = 2.5  # a plane weaker than that holds noise, not colour
@@ -115,6 +156,10 @@ def estimate_colours(image: Image, network: Callable[[Image], Floats], small_px:
     for c in range(3):
         affine[:, :, c, c] += gain[c]
     affine[:, :, 2] *= red_share(guide, affine)
+    kept = np.float32(needs_nothing(image))
+    affine *= 1 - kept
+    for c in range(3):
+        affine[:, :, c, c] += kept
     return Colours(affine, (width, height))
 
 
@@ -262,13 +307,13 @@ def enhancer(variant: Variant = "auto", weights: Path | None = None, budget_ms: 
     Raises ConfigError for weights that cannot be used, and where the network was asked for by name and is not there.
     """
     if variant == "classic":
-        return Enhancer("classic", classic)
+        return Enhancer("classic", sparing(classic))
     if weights is not None and not weights.is_file():  # said before torch, whose import takes seconds
         raise ConfigError(f"{weights}: no such file; give weights that `aucamp train` wrote, hash beside, or .pth")
     if (lacking := missing(weights)) is not None:
         if variant != "auto" or weights is not None:
             raise ConfigError(f"--variant {variant}: {lacking}; --variant classic needs neither")
-        return Enhancer("classic", classic, why=f"{lacking}; grey-world and CLAHE instead")
+        return Enhancer("classic", sparing(classic), why=f"{lacking}; grey-world and CLAHE instead")
     from agent.perception.enhancement.lu2net import load
 
     net = load(weights or shipped_weights())
@@ -282,10 +327,10 @@ def network_enhancer(net: LU2Net, variant: Variant) -> Enhancer:
     from agent.perception.enhancement import lu2net
 
     if variant == "plain":
-        return Enhancer(variant, lambda image: lu2net.run(net, image))
+        return Enhancer(variant, sparing(lambda image: lu2net.run(net, image)))
     quick = lu2net.fold(net)
     if variant == "folded":
-        return Enhancer(variant, lambda image: lu2net.to_image(lu2net.forward(quick, lu2net.to_tensor(image))))
+        return Enhancer(variant, sparing(lambda image: lu2net.to_image(lu2net.forward(quick, lu2net.to_tensor(image)))))
 
     def colours(image: Image) -> NDArray[np.float32]:
         rgb = lu2net.forward(quick, lu2net.to_tensor(image))[0].clamp(0, 1).permute(1, 2, 0).numpy()
@@ -308,7 +353,7 @@ def choose(
         tried.append(f"{way.variant} {took_ms:.0f} ms")
         if took_ms <= budget_ms:
             return way._replace(why=f"{', '.join(tried)} of {budget_ms:.0f} ms")
-    return Enhancer("classic", classic, why=f"{', '.join(tried)}, over the budget of {budget_ms:.0f} ms")
+    return Enhancer("classic", sparing(classic), why=f"{', '.join(tried)}, over the budget of {budget_ms:.0f} ms")
 
 
 def missing(weights: Path | None) -> str | None:
