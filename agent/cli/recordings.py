@@ -246,9 +246,12 @@ def reconstruct_command(
     for note in result.notes:
         complain(note)
     f = result.figures
+    if "area_m2" in f:
+        area, sigma = f"{f['area_m2']:.2f} m2", f"{f['sigma_mm']['p50']:.1f} mm"
+    else:
+        area, sigma = f"{f['area_units2']:.3g} of its own units squared", f"{f['sigma_units']['p50']:.2g} units"
     console.print(
-        f"{f['triangles']} triangles, {f['area_m2']:.2f} m2, from {f['views']} keyframes; standard deviation "
-        f"{f['sigma_mm']['p50']:.1f} mm (median)",
+        f"{f['triangles']} triangles, {area}, from {f['views']} keyframes; standard deviation {sigma} (median)",
         highlight=False,
     )
     learnt = f["image"]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
@@ -237,24 +238,36 @@ def from_z(normals: NDArray[np.float64]) -> Floats:
 
 # --- nerfstudio's transforms.json, with pictures, depths and the surface's points beside it ---
 
-DEPTH_UNIT_M = 1e-4  # of the 16-bit depth pictures, which so reach 6.5 m; 0: unknown
+MOST_DEPTH = 65535  # of a picture of 16 bits, in which 0 is unknown
+NEARLY_ALL = 99.9  # percent of the depths that have to fit: a few far ones are no reason for coarse steps
 TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # theirs look along -z, y up
 
 
 def write_transforms(views: list[View], mesh: Mesh, folder: Path) -> None:
-    """The folder is made."""
+    """The folder is made. Depths are in steps of depth_unit_scale_factor, in the scene's unit; what is too far is 0."""
     for name in ("images", "depths"):
         (folder / name).mkdir(parents=True)
-    frames = []
+    frames, unit = [], depth_unit(views)
     for view, name in zip(views, names(views), strict=True):
         write_picture(folder / "images" / f"{name}.png", encoded(view.picture)[..., ::-1])
-        from_centre = np.nan_to_num((view.depth_m - view.camera.ahead_m) / DEPTH_UNIT_M)
-        depths = np.clip(np.rint(from_centre), 0, 65535).astype(np.uint16)
-        write_picture(folder / "depths" / f"{name}.png", depths)
+        steps = np.rint(np.nan_to_num((view.depth_m - view.camera.ahead_m) / unit))
+        depths = np.where((steps > 0) & (steps <= MOST_DEPTH), steps, 0)
+        write_picture(folder / "depths" / f"{name}.png", depths.astype(np.uint16))
         frames.append({"file_path": f"images/{name}.png", "depth_file_path": f"depths/{name}.png", **frame(view)})
     write_ply(mesh, folder / "points.ply")
-    top = {"camera_model": "OPENCV", "depth_unit_scale_factor": DEPTH_UNIT_M, "ply_file_path": "points.ply"}
+    top = {"camera_model": "OPENCV", "depth_unit_scale_factor": unit, "ply_file_path": "points.ply"}
     write_whole(folder / "transforms.json", json.dumps({**top, "frames": frames}, indent=1) + "\n")
+
+
+def depth_unit(views: list[View]) -> float:
+    """The step of depth pictures: 1, 2 or 5 of a power of ten, the least with which nearly all depths fit."""
+    known = np.concatenate([view.depth_m[np.isfinite(view.depth_m)] - view.camera.ahead_m for view in views])
+    known = known[known > 0.0]
+    if not known.size:
+        return 1e-4
+    least = float(np.percentile(known, NEARLY_ALL)) / MOST_DEPTH
+    power = 10.0 ** math.floor(math.log10(least))
+    return float(f"{next(times for times in (1, 2, 5, 10) if times * power >= least) * power:.0e}")
 
 
 def frame(view: View) -> dict[str, Any]:

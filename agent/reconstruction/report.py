@@ -21,6 +21,7 @@ from agent.reconstruction.export import GAMMA, encoded
 from agent.reconstruction.fusion import Built
 from agent.reconstruction.held_back import HeldBack
 from agent.reconstruction.mesh import Mesh, Rendered, pieces_of, rendered
+from agent.reconstruction.sources import DISTANCE_M
 from agent.reconstruction.views import Camera, Floats, View
 from replay.files.frames import film
 from replay.report.page import PAGE
@@ -147,6 +148,7 @@ def write_report(
 ) -> list[Path]:
     """report.html and turntable.mp4 into the folder; adds what the photographs say to `figures`.
 
+    built, held: of the size of a tank, whatever the scene's own unit is; figures: in that unit.
     placed: what the image model makes of `held`, in the same order.
     """
     render = render_of(built.mesh)
@@ -159,7 +161,7 @@ def write_report(
         _surface(built, figures),
         _photographs(compared, bool(held)),
         *_model(placed, figures),
-        _certainty(built),
+        _certainty(built, in_metres(figures)),
     ]
     files = [out / "report.html"]
     if video:
@@ -173,15 +175,25 @@ def write_report(
     return files
 
 
+def in_metres(figures: dict[str, Any]) -> bool:
+    """Whether the scene's unit is known."""
+    return "area_m2" in figures
+
+
 def _surface(built: Built, figures: dict[str, Any]) -> Section:
-    sigma = figures["sigma_mm"]
+    if in_metres(figures):
+        names = ["area m2", "size m", "sigma mm, 10/50/90 %"]
+        area, size, sigma = figures["area_m2"], figures["size_m"], figures["sigma_mm"]
+    else:
+        names = ["area, the scene's units", "size, units", "sigma, units, 10/50/90 %"]
+        area, size, sigma = figures["area_units2"], figures["size_units"], figures["sigma_units"]
     rows = [
-        ["triangles", "area m2", "size m", "sigma mm, 10/50/90 %", "seen by one view", "depths by plane sweep"],
+        ["triangles", *names, "seen by one view", "depths by plane sweep"],
         [
             figures["triangles"],
-            f"{figures['area_m2']:.2f}",
-            " x ".join(f"{length:.2f}" for length in figures["size_m"]),
-            " / ".join(f"{value:.1f}" for value in sigma.values()),
+            f"{area:.3g}",
+            " x ".join(f"{length:.3g}" for length in size),
+            " / ".join(f"{value:.2g}" for value in sigma.values()),
             f"{figures['seen_by_one']:.0%}",
             f"{figures['by_plane_sweep']:.0%}",
         ],
@@ -218,12 +230,14 @@ def _model(placed: Sequence[HeldBack], figures: dict[str, Any]) -> list[Section]
     return [Section("image", "Image model", note, [{"about": "", "rows": rows}], shown)]
 
 
-def _certainty(built: Built) -> Section:
+def _certainty(built: Built, metres: bool) -> Section:
     mesh = built.mesh
+    best, worst = (f"{1e3 * end:g} mm" if metres else f"{100 * end / DISTANCE_M:.1f} %" for end in (BEST_M, WORST_M))
+    of = "" if metres else " of the distance to the cameras"
     looks = [
         _picture(looked_at(mesh, colours, 270.0, TOP_DEG), words)
         for colours, words in (
-            (by_sigma(mesh), f"standard deviation, {1e3 * BEST_M:g} mm (dark) to {1e3 * WORST_M:g} mm (bright)"),
+            (by_sigma(mesh), f"standard deviation, {best} (dark) to {worst} (bright){of}"),
             (by_views(mesh), f"views that saw it, 1 (dark) to {MOST_VIEWS} and more (bright)"),
         )
     ]

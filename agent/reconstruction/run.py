@@ -23,7 +23,7 @@ from agent.reconstruction.mesh import Mesh
 from agent.reconstruction.plane_sweep import Range, neighbours, plane_sweep
 from agent.reconstruction.refine_poses import refine
 from agent.reconstruction.report import write_report
-from agent.reconstruction.sources import Posed, recorded_views, transforms_views
+from agent.reconstruction.sources import DISTANCE_M, recorded_views, transforms_views
 from agent.reconstruction.views import Floats, View, stacked
 
 # --- the command ---
@@ -45,12 +45,23 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     model: ModelKind = "surfels"
 
 
-class Result(NamedTuple):
+class Made(NamedTuple):
+    """A scene of the size of a tank, in which lengths in metres mean what they say."""
+
     built: Built
     held: list[View]  # pictures that nothing was made of
-    files: list[Path]
     passed_over: dict[str, int]  # sweeps and pictures that gave no view, by reason
     notes: list[str]  # what a person should know of the pictures
+    own: float = 1.0  # by what to multiply lengths for those of the scene
+    unit: str = "m"  # that these have; "": nobody knows
+
+
+class Result(NamedTuple):
+    built: Built  # in the scene's own unit, as `held`
+    held: list[View]
+    files: list[Path]
+    passed_over: dict[str, int]
+    notes: list[str]
     figures: dict[str, Any]  # of result.json
     model: ImageModel
 
@@ -61,29 +72,29 @@ def run(settings: Settings, out: Path, show: Show) -> Result:
     Raises ConfigError for input that is none or damaged, Failed where nothing can be made of it.
     """
     if settings.transforms is not None:
-        built, held, posed = _from_pictures(settings, settings.transforms, show)
-        passed_over, notes = posed.passed_over, posed.notes
+        made = _from_pictures(settings, settings.transforms, show)
     else:
-        notes = []
-        built, held, passed_over = _from_recordings(settings, show)
-    files = [export(kind, built.views, built.mesh, settings.cell_m, out) for kind in settings.exports]
-    figures = figures_of(built, held)
+        made = _from_recordings(settings, show)
+    views, mesh = scaled(made.built.views, made.own), scaled_mesh(made.built.mesh, made.own)
+    files = [export(kind, views, mesh, settings.cell_m * made.own, out) for kind in settings.exports]
+    figures = figures_of(views, mesh, made)
     model = image_model(
         settings.model,
-        built.views,
-        built.mesh,
+        made.built.views,
+        made.built.mesh,
         settings.cell_m,
         lambda done, total: show(done, total, "learning the picture"),
     )
-    placed = judged(model.look, held)
+    placed = judged(model.look, made.held)
     figures["image"] = image_figures(model, placed)
-    files += write_report(built, held, placed, figures, out, settings.video, show)
+    files += write_report(made.built, made.held, placed, figures, out, settings.video, show)
     path = out / RESULT
     write_whole(path, json.dumps(figures, indent=1) + "\n")
-    return Result(built, held, [*files, path], passed_over, notes, figures, model)
+    built, held = Built(views, mesh, made.built.swept), scaled(made.held, made.own)
+    return Result(built, held, [*files, path], made.passed_over, made.notes, figures, model)
 
 
-def _from_recordings(settings: Settings, show: Show) -> tuple[Built, list[View], dict[str, int]]:
+def _from_recordings(settings: Settings, show: Show) -> Made:
     views, passed_over = recorded_views(settings.runs, lambda done, total: show(done, total, "reading sweeps"))
     if not views:
         why = ", ".join(f"{count} with {reason}" for reason, count in passed_over.items())
@@ -91,19 +102,17 @@ def _from_recordings(settings: Settings, show: Show) -> tuple[Built, list[View],
     used, held = held_back(views)
     if settings.refine:
         used = refine(used, lambda done, total: show(done, total, "refining poses")).views
-    return _built(used, settings, settings.stereo, show), held, passed_over
+    return Made(_built(used, settings, settings.stereo, show), held, passed_over, [])
 
 
-def _from_pictures(settings: Settings, folder: Path, show: Show) -> tuple[Built, list[View], Posed]:
-    """Pictures that others took have poses alone; work is done at the size of a tank, and results are at their own."""
+def _from_pictures(settings: Settings, folder: Path, show: Show) -> Made:
+    """Pictures that others took have poses alone, and lengths of an unknown unit."""
     posed = transforms_views(folder, show)
     views = posed.views
     by = scale_of(views)
     used, held = held_back(scaled(views, by))
     found = with_depths(used, lambda done, total: show(done, total, "looking for depths"))
-    built = _built(found, settings, True, show)
-    back = 1.0 / by
-    return Built(scaled(built.views, back), scaled_mesh(built.mesh, back), built.swept), scaled(held, back), posed
+    return Made(_built(found, settings, True, show), held, posed.passed_over, posed.notes, 1.0 / by, "")
 
 
 def _built(views: Sequence[View], settings: Settings, stereo: bool, show: Show) -> Built:
@@ -139,22 +148,32 @@ def image_figures(model: ImageModel, placed: Sequence[HeldBack]) -> dict[str, An
     }
 
 
-def figures_of(built: Built, held: Sequence[View]) -> dict[str, Any]:
-    """Counts, and how sure the surface is."""
-    mesh = built.mesh
+def figures_of(views: Sequence[View], mesh: Mesh, made: Made) -> dict[str, Any]:
+    """Counts, and how sure the surface is. Lengths are in metres, or, where nobody knows the unit, in the scene's own:
+    their names say which."""
+    size = [float(f"{length:.4g}") for length in np.ptp(mesh.vertices_m, axis=0).tolist()]
+    sigma = {f"p{percent}": float(np.percentile(mesh.sigma_m, percent)) for percent in (10, 50, 90)}
+    if made.unit == "m":
+        lengths: dict[str, Any] = {
+            "area_m2": round(area_m2(mesh), 4),
+            "size_m": size,
+            "sigma_mm": {name: round(1e3 * value, 2) for name, value in sigma.items()},
+        }
+    else:
+        lengths = {
+            "area_units2": float(f"{area_m2(mesh):.4g}"),
+            "size_units": size,
+            "sigma_units": {name: float(f"{value:.3g}") for name, value in sigma.items()},
+        }
     return {
-        "views": len(built.views),
-        "held_back": len(held),
-        "robots": sorted({view.robot for view in built.views}),
+        "views": len(views),
+        "held_back": len(made.held),
+        "robots": sorted({view.robot for view in views}),
         "vertices": len(mesh.vertices_m),
         "triangles": len(mesh.faces),
-        "area_m2": round(area_m2(mesh), 4),
-        "size_m": [round(length, 3) for length in np.ptp(mesh.vertices_m, axis=0).tolist()],
-        "sigma_mm": {
-            f"p{percent}": round(1e3 * float(np.percentile(mesh.sigma_m, percent)), 2) for percent in (10, 50, 90)
-        },
+        **lengths,
         "seen_by_one": round(float(np.mean(mesh.views <= 1)), 4),
-        "by_plane_sweep": round(built.swept, 4),
+        "by_plane_sweep": round(made.built.swept, 4),
     }
 
 
@@ -171,9 +190,8 @@ def area_m2(mesh: Mesh) -> float:
 #
 # Their depths are those of a plane sweep over the whole range, then of a finer one around it. Such scenes have any
 # unit, so they are brought to the size of a tank first: what cameras look at is then DISTANCE_M away, and lengths in
-# metres mean what they say. `run` brings them back to their own unit.
+# metres mean what they say. What is written of them is in their own unit again.
 
-DISTANCE_M = 0.7
 NEAR, FAR = 0.25, 5.0  # shares of that, between which things are looked for
 STEPS = 2.0  # of the wide sweep, as sigma: what its depths are good for
 

@@ -194,6 +194,7 @@ def _pose(box: BlackBox, moved: Motion, t_ns: int) -> tuple[Floats, Floats, Floa
 # Nothing there says how far anything is. A view gets a depth range instead, as a prior as wide as the scene: the
 # plane sweep then looks all along the line of sight. Scenes have any unit and any size.
 
+DISTANCE_M = 0.7  # at which things are, once a scene has been brought to the size of a tank
 TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 GAMMA = 2.2
 FLAT = 1e-9  # of a determinant: no rotation has so little, at any scale of a scene

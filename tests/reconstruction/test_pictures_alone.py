@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
-from agent.reconstruction.export import write_transforms
+from agent.reconstruction.export import depth_unit, write_transforms
 from agent.reconstruction.mesh import Mesh
 from agent.reconstruction.run import Settings, looked_at, run, scale_of
 from agent.reconstruction.sources import transforms_views
@@ -47,6 +47,55 @@ def test_what_was_written_is_read(folder: Path) -> None:
     assert scale_of(views) == pytest.approx(0.7 / (UNIT * 0.546), rel=0.05)
 
 
+def test_a_scene_is_learnt_alike_whatever_its_unit(tmp_path: Path) -> None:
+    """The image model's cells are millimetres of a tank: a scene twenty times as large has no other picture."""
+    floor = partial(plane_depth, normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
+    found = []
+    for unit in (1.0, UNIT):
+        views = [
+            drawn_view(n, (0.04 * n - 0.2, -0.33 + 0.01 * (n % 3), 0.42), (0.0, 0.0, 0.0), floor, camera=STRAIGHT)
+            for n in range(11)
+        ]
+        folder, out = tmp_path / f"scene{unit:g}", tmp_path / f"out{unit:g}"
+        write_transforms([replace(v, position_m=v.position_m * unit) for v in views], NOTHING, folder)
+        out.mkdir()
+        settings = Settings(transforms=folder, video=False, cell_m=0.01, exports=("ply", "transforms.json", "splat"))
+        found.append(run(settings, out, quiet))
+    small, large = found
+    assert large.figures["image"]["psnr_held_back_db"] == pytest.approx(
+        small.figures["image"]["psnr_held_back_db"], abs=0.3
+    )
+    assert np.array(large.figures["size_units"]) == pytest.approx(
+        np.array(small.figures["size_units"]) * UNIT, rel=0.02
+    )
+    scales = [splat_scale(tmp_path / f"out{unit:g}" / "splat.ply") for unit in (1.0, UNIT)]
+    assert scales[1] - scales[0] == pytest.approx(np.log(UNIT), abs=1e-4)
+
+
+def splat_scale(path: Path) -> float:
+    """The first splat's, a logarithm."""
+    head, _, body = path.read_bytes().partition(b"end_header\n")
+    names = [line.split()[2] for line in head.decode().splitlines() if line.startswith("property")]
+    return float(np.frombuffer(body, "<f4")[names.index("scale_0")])
+
+
+@pytest.mark.parametrize("unit", [1.0, UNIT, 500.0, 0.01])
+def test_depths_are_written_in_steps_of_the_scene(tmp_path: Path, unit: float) -> None:
+    """All of them, to a 60,000th of the farthest; a few that are much farther are unknown, and none is wrong."""
+    floor = partial(plane_depth, normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
+    view = drawn_view(0, (0.0, -0.35, 0.42), (0.0, 0.0, 0.0), floor, camera=STRAIGHT)
+    depth = (view.depth_m * unit).astype(np.float32)
+    depth[0, 0] = 50.0 * np.nanmax(depth)
+    write_transforms([replace(view, depth_m=depth, position_m=view.position_m * unit)], NOTHING, tmp_path / "scene")
+    step = json.loads((tmp_path / "scene" / "transforms.json").read_text())["depth_unit_scale_factor"]
+    (path,) = (tmp_path / "scene" / "depths").iterdir()
+    read = cv2.imread(str(path), cv2.IMREAD_UNCHANGED) * step
+    assert read[0, 0] == 0.0 and step == depth_unit([replace(view, depth_m=depth)])
+    known = np.isfinite(depth)
+    known[0, 0] = False
+    assert np.abs(read - depth)[known].max() <= 0.51 * step < 1e-4 * np.nanmax(depth[1:])
+
+
 def test_a_floor_from_pictures_alone(folder: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     out.mkdir()
@@ -56,7 +105,10 @@ def test_a_floor_from_pictures_alone(folder: Path, tmp_path: Path) -> None:
     assert np.median(np.abs(heights)) < 2e-3
     assert (np.abs(heights) < 0.01).mean() > 0.9
     assert "Beside photographs" in (out / "report.html").read_text()
-    assert json.loads((out / "result.json").read_text())["views"] == 5
+    figures = json.loads((out / "result.json").read_text())
+    assert figures["views"] == 5 and not {"area_m2", "size_m", "sigma_mm"} & figures.keys(), "nobody knows the unit"
+    assert figures["size_units"] == pytest.approx(np.ptp(result.built.mesh.vertices_m, axis=0), rel=1e-3)
+    assert result.figures["image"]["psnr_held_back_db"] is None or result.figures["image"]["psnr_held_back_db"] > 15
     assert (out / "surface.ply").exists()
 
 
