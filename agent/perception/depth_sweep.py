@@ -425,13 +425,15 @@ class BlockSweep:
 
     def __init__(self, plan: SweepPlan, camera: CameraFit) -> None:
         self._plan, self._camera = plan, camera
-        self._frames: list[tuple[Image, int, int]] = []  # picture, lens position, time
+        # Luminance, all that clarity looks at and a third of the frame; lens position, time.
+        self._frames: list[tuple[Image, int, int]] = []
         self._shifts: list[NDArray[np.float64]] = []  # of each against the one before, px
         self._before: NDArray[np.float32] | None = None
 
     def add(self, image: Image, lens_position: int, t_ns: int) -> None:
         """Take one whole frame, grey or in colour."""
-        small = _reduced(image)
+        grey = luminance(image)
+        small = _reduced(grey)
         shift = np.zeros(2)
         if self._before is not None:
             window = cv2.createHanningWindow((small.shape[1], small.shape[0]), cv2.CV_32F)
@@ -440,7 +442,7 @@ class BlockSweep:
                 shift = SMALL * np.array([x, y])
         self._before = small
         self._shifts.append(shift)
-        self._frames.append((image.copy(), lens_position, t_ns))
+        self._frames.append((grey.copy() if grey is image else grey, lens_position, t_ns))
 
     def peaks(self) -> BlockPeaks:
         """What all frames so far show, counted in the blocks of the last."""
@@ -490,8 +492,7 @@ class BlockSweep:
         return curves, whole.ravel()
 
 
-def _reduced(image: Image) -> NDArray[np.float32]:
-    grey = luminance(image)
+def _reduced(grey: Image) -> NDArray[np.float32]:
     height, width = grey.shape
     small = cv2.resize(grey, (width // SMALL, height // SMALL), interpolation=cv2.INTER_AREA)
     return small.astype(np.float32)

@@ -6,7 +6,8 @@ import pytest
 
 from agent.core.config import ConfigError
 from agent.experiments.claim import Share
-from agent.experiments.detection_pictures import Settings, marked_pictures, run, summary
+from agent.experiments.detection_pictures import Settings, look, marked_pictures, run, summary
+from hw.camera.files import read_picture
 from tests.perception.painted import grain
 from tests.places import DATA
 
@@ -115,3 +116,11 @@ def test_a_vignetted_view_is_no_ball(tmp_path):
     for name in ("csula_front035.jpg", "csula_front019.jpg"):
         (tmp_path / name).symlink_to(DATA / "real_water" / "no_balls" / name)
     assert seen(tmp_path)[1]["false"] == 0.0
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"the shared data are not here: set AUCAMP_DATA (looked in {DATA})")
+def test_a_yellow_ball_beside_a_red_one_is_not_red() -> None:
+    """It has a hue between both, and more green light than red."""
+    image = read_picture(DATA / "real_water" / "failing" / "balls" / "frame-043.png")
+    found = {(colour, round(ball.centre_px[0], -1)) for colour, ball in look(image, []).false}
+    assert found == {("red", 490), ("orange", 490), ("yellow", 340)}
