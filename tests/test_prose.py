@@ -25,7 +25,7 @@ PAGES = [
     if not path.relative_to(ROOT).as_posix().startswith(WRITTEN_BY_PROGRAMS)
 ]
 APART = ("#", "|", "![")  # how lines begin that are no prose
-ITEM = re.compile(r"([*-]|\d+\.)\s+")
+ITEM = re.compile(r"^([*-]|\d+\.)\s+")
 
 
 def paragraphs(text: str) -> Iterator[str]:
