@@ -17,8 +17,18 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.ranging.camera_model import FocusFit
-from agent.core.ranging.focus import Array, Method, NoPeak, fit_peak, h, phase_sigma, range_variance
+from agent.core.ranging.camera_model import CameraFit, FocusFit
+from agent.core.ranging.focus import (
+    Array,
+    Method,
+    NoPeak,
+    fit_peak,
+    h,
+    phase_sigma,
+    port_share,
+    range_variance,
+    through_port,
+)
 from agent.perception.clarity import INNER_BOX, block_peaks, tenengrad_grid
 from agent.perception.tracking.appearance import Box
 from hw.camera.camera import Image
@@ -31,6 +41,13 @@ MIN_RISE = 24.0  # of the clearest frame over the median one, clarity per pixel:
 SPILL = 1 / 60  # of the clearest neighbour's rise: at 15 pixels from a contour, averaged over 5
 
 T = TypeVar("T", bound=np.generic)
+Corner = tuple[float, float]
+
+
+def z_depth(focus: FocusFit, camera: CameraFit | None, rho: float, px: tuple[float, float]) -> float | None:
+    """From the pivot, along the axis, of what is sharp at rho and seen at a pixel; None: sharp at infinity."""
+    u_m = h(focus, rho)
+    return u_m if u_m is None or camera is None else through_port(u_m, port_share(camera, px))
 
 
 class Reason(IntEnum):
@@ -75,11 +92,13 @@ class GridPeaks(NamedTuple):
         lens_position[self.accepted], sigma[self.accepted] = peaks.lens_position, peaks.sigma
         return self._replace(lens_position=lens_position, sigma=sigma)
 
-    def ranged(self, focus: FocusFit) -> GridPeaks:
-        """The same, with the range of what is accepted as this calibration tells it."""
+    def ranged(self, focus: FocusFit, camera: CameraFit | None, side_px: float, corner_px: Corner) -> GridPeaks:
+        """The same, with the range of what is accepted as this calibration tells it; squares of side_px, the first at
+        corner_px of the camera's picture. Without a camera all are ranged as if they were on its axis."""
         range_m = np.full(self.reason.shape, np.nan)
         for row, col in np.argwhere(self.accepted):
-            z_m = h(focus, float(self.lens_position[row, col]))
+            centre_px = corner_px[0] + (col + 0.5) * side_px - 0.5, corner_px[1] + (row + 0.5) * side_px - 0.5
+            z_m = z_depth(focus, camera, float(self.lens_position[row, col]), centre_px)
             if z_m is not None:  # else sharp at infinity
                 range_m[row, col] = z_m
         return self._replace(range_m=range_m)
@@ -362,8 +381,11 @@ def box_clarity(images: Sequence[Image], size: Array, box: Box) -> Array:
     return clarity
 
 
-def box_range(lens_positions: Array, clarity: Array, box: Box, focus: FocusFit | None) -> BoxRange | NoPeak:
-    """Where the clarity (n,) at the lens positions (n,) has its one peak; NoPeak where it has none, or several."""
+def box_range(
+    lens_positions: Array, clarity: Array, box: Box, focus: FocusFit | None, camera: CameraFit | None = None
+) -> BoxRange | NoPeak:
+    """Where the clarity (n,) at the lens positions (n,) has its one peak; NoPeak where it has none, or several. The box
+    is one of the camera's picture."""
     if clarity.max() - np.median(clarity) < MIN_RISE:
         return NoPeak("no texture: it is as sharp at every lens position")
     peak = fit_peak(lens_positions.tolist(), clarity.tolist())
@@ -373,10 +395,11 @@ def box_range(lens_positions: Array, clarity: Array, box: Box, focus: FocusFit |
     found = BoxRange(peak.lens_position, sigma, peak.quality)
     if focus is None:
         return found
-    range_m = h(focus, peak.lens_position)
+    range_m = z_depth(focus, camera, peak.lens_position, box.centre_px)
     if range_m is None:
         return NoPeak(f"the peak at {peak.lens_position:.0f} is sharp beyond all ranges of this calibration")
-    sigma_m = math.sqrt(sum(range_variance(focus, peak.lens_position, sigma)))
+    share = 1.0 if camera is None else port_share(camera, box.centre_px)
+    sigma_m = math.sqrt(sum(range_variance(focus, peak.lens_position, sigma))) / share
     return found._replace(range_m=range_m, range_sigma_m=sigma_m)
 
 

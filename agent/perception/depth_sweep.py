@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.core.config import ConfigError
@@ -300,8 +301,10 @@ def measure(
     focus: FocusFit | None,
     method: Method = "matched",
     min_quality: float = MIN_QUALITY,
+    camera: CameraFit | None = None,
 ) -> DepthMap:
     """Peak of every block's curve, and its range where a calibration tells it; every method keeps the same blocks.
+    camera: that took whole pictures, so that ranges off its axis are right as well.
 
     Where the sweep was taken to be split, blocks with two depths are refused, and their parts are measured.
     """
@@ -318,7 +321,8 @@ def measure(
         parts = parts if method == "matched" else parts.by(method, x, finer.parts)
     blocks = blocks if method == "matched" else blocks.by(method, x, taken.clarity)
     if focus is not None:
-        blocks, parts = blocks.ranged(focus), None if parts is None else parts.ranged(focus)
+        blocks = blocks.ranged(focus, camera, block, taken.corner_px)
+        parts = None if parts is None else parts.ranged(focus, camera, side, taken.corner_px)
     return DepthMap(block, blocks, parts, taken.sharp, taken.growth, corner_px=taken.corner_px, moved_px=taken.moved_px)
 
 
@@ -373,15 +377,18 @@ def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> Sweep
     lens_positions = np.array([float(frame.sighting.focus or 0) for frame in seen])
     grown = growth(lens_positions, [frame.sighting.radius_px or 0.0 for frame in seen])
     taken = clarity_of(images, lens_positions, BLOCK_PX, grown)
-    found = measure(taken, BLOCK_PX, calibration.focus)
-    assert found.blocks.range_m is not None  # there is a calibration
     reference = seen[taken.reference]
     x, y = _centre(reference)
+    left_px, top_px = reference.roi[0] + x - half_x, reference.roi[1] + y - half_y
+    whole = calibration.camera
+    camera = replace(whole, cx_px=whole.cx_px - left_px, cy_px=whole.cy_px - top_px)
+    found = measure(taken, BLOCK_PX, calibration.focus, camera=camera)
+    assert found.blocks.range_m is not None  # there is a calibration
     return SweepDepth(
         t_ns=seen[0].sighting.t_ns,
         block_px=BLOCK_PX,
-        left_px=reference.roi[0] + x - half_x,
-        top_px=reference.roi[1] + y - half_y,
+        left_px=left_px,
+        top_px=top_px,
         range_m=found.blocks.range_m,
         sharp=found.sharp,
     )

@@ -27,7 +27,17 @@ from agent.clock.clock import SystemClock
 from agent.core.config import ConfigError, Fleet, dump, write_whole
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, TimingFit, gimbal_deg, ray, servos_us
-from agent.core.ranging.focus import Array, Peak, TiltedPeak, fit_peak, lens_position, phase_sigma, with_sag
+from agent.core.ranging.focus import (
+    Array,
+    Peak,
+    TiltedPeak,
+    as_on_axis,
+    fit_peak,
+    lens_position,
+    phase_sigma,
+    port_share,
+    with_sag,
+)
 from agent.core.step_io import SetPoint
 from agent.perception.depth_peaks import gradient_energy, luminance
 from agent.perception.vision import TimedCamera, movable
@@ -58,6 +68,7 @@ SAG_AT_M, SAG_TILTS_DEG = (0.40, 0.43, 0.46), (-20.0, 20.0)  # near: an error of
 LOOKS = DISTANCES + len(BOARD_AT_M) * len(VIEWS_DEG)  # settings of the board before those that look up and down
 SETTINGS = LOOKS + len(SAG_AT_M) * len(SAG_TILTS_DEG)
 BLURS = (-1.5, 0.0, 1.5)  # peak half-widths by which the lens is set off, looking straight: to see the picture grow
+COARSE_PX = 9  # places across and down the part that is read, at which a port is asked
 BACKLASH_US = 25  # the approach: two degrees, more than any gear has play
 
 
@@ -74,14 +85,18 @@ def calibrate(
     if limits is not None and wait is not None:
         timing = measure_timing(fleet, camera, limits, place, wait)
     timed = TimedCamera(camera, timing, (lambda: 0) if wait is None else (lambda: wait(0.0)))
+    rows: list[FocusRow] = []
     if limits is not None:
-        focus = fit_focus(focus_rows(fleet, timed, limits, place, lambda done, _: progress(done, SETTINGS)))
+        rows = focus_rows(fleet, timed, limits, place, lambda done, _: progress(done, SETTINGS))
+        focus = fit_focus(rows)  # near enough to find the board by
     corners: list[Corner] = []
     for done, view in enumerate(views(fleet, timed, focus, place), start=DISTANCES):
         corners += view
         progress(done + 1, SETTINGS)
     seen = fit_camera(corners, fleet.body, camera.size)
     if focus is not None and limits is not None:
+        share = window_share(seen)
+        focus = fit_focus([row._replace(u_m=as_on_axis(row.u_m, share)) for row in rows])
         tilted = tilted_peaks(fleet, timed, limits, seen, place, lambda done, _: progress(LOOKS + done, SETTINGS))
         focus = with_sag(focus, tilted)
     centre_us = round(fleet.body.servo_centre_us)
@@ -136,9 +151,23 @@ def tilted_peaks(
         peak = board_peak(camera, limits, fleet.camera.sweep_steps, fleet.camera.settle_s)
         if peak is not None:
             u_m = ahead_m / (math.cos(tilt) + y / z * math.sin(tilt))
-            peaks.append(TiltedPeak(u_m, peak.lens_position, tilt))
+            peaks.append(TiltedPeak(as_on_axis(u_m, window_share(seen)), peak.lens_position, tilt))
         progress(done, len(SAG_AT_M) * len(SAG_TILTS_DEG))
     return peaks
+
+
+def window_share(seen: CameraFit) -> float:
+    """K of the part of the picture in which a board is read, as pixels count there."""
+    x, y, width, height = middle_of((seen.width_px, seen.height_px))
+    across, down = np.hanning(COARSE_PX + 2)[1:-1], np.hanning(COARSE_PX + 2)[1:-1]
+    shares = [
+        [
+            port_share(seen, (x + (i + 0.5) * width / COARSE_PX - 0.5, y + (j + 0.5) * height / COARSE_PX - 0.5))
+            for i in range(COARSE_PX)
+        ]
+        for j in range(COARSE_PX)
+    ]
+    return float((np.array(shares) * np.outer(down, across)).sum() / np.outer(down, across).sum())
 
 
 def board_peak(camera: TimedCamera, limits: FocusRange, steps: int, settle_s: float) -> Peak | None:

@@ -14,6 +14,7 @@ from pathlib import Path
 from agent.clock.clock import Clock, SystemClock
 from agent.core.config import dump
 from agent.core.ranging.camera_model import Calibration, camera_pose, centre_behind_skin_m, gimbal_deg, pixel, to_camera
+from agent.core.ranging.focus import as_on_axis, port_share
 from agent.core.step_io import Sighting
 from agent.process.agent_process import Runtime, run_facts, say_goodbye
 from agent.process.certificates import credentials
@@ -80,7 +81,8 @@ class Script:
         skin = d - radius_m
         for _ in range(5):
             skin = d - centre_behind_skin_m(skin, radius_m)
-        rho = FOCUS.rho0 + FOCUS.b_m / (skin * z / d - FOCUS.u_inf_m) + self.random.gauss(0.0, 0.5)
+        sharp_m = as_on_axis(skin * z / d, port_share(CAMERA, px))
+        rho = FOCUS.rho0 + FOCUS.b_m / (sharp_m - FOCUS.u_inf_m) + self.random.gauss(0.0, 0.5)
         return Sighting(
             t_ns=now_ns,
             frame=self.frame,

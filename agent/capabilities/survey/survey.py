@@ -77,7 +77,16 @@ from agent.core.ranging.camera_model import (
     sweep_waits_ns,
     to_world,
 )
-from agent.core.ranging.focus import at_tilt, h, lens_position, phase_sigma, range_variance
+from agent.core.ranging.focus import (
+    FLAT_PORT,
+    at_tilt,
+    h,
+    lens_position,
+    phase_sigma,
+    range_variance,
+    share_at,
+    through_port,
+)
 from agent.core.ranging.pointing import reachable
 from agent.core.ranging.sweep import full_positions, home_position
 from agent.core.step_io import BlockPeaks, Heard, Inputs, SweepPlan
@@ -144,13 +153,16 @@ def frame_of(
     slopes, ahead_m = block_slopes(lens, lens.cols * rows), lens.ahead * UNIT_M
     depths: list[float | None] = [None] * count
     sigmas = [0.0] * count
+    flat = calibration.camera.bend >= FLAT_PORT
     for k, position, sigma in peaks.peaks:
-        if k < count and (z_m := h(fit, position)) is not None:
+        if k < count and (sharp_m := h(fit, position)) is not None:
             x, y = slopes[k]
+            share = share_at(1.0 / math.sqrt(1.0 + x * x + y * y)) if flat else 1.0
+            z_m = through_port(sharp_m, share)
             there = to_world(eye, (x * (z_m - ahead_m), y * (z_m - ahead_m), z_m))
             if any(_is_at(there, hull_m) for hull_m in hulls_m):
                 continue
-            depths[k], sigmas[k] = z_m, math.sqrt(sum(range_variance(fit, position, sigma)))
+            depths[k], sigmas[k] = z_m, math.sqrt(sum(range_variance(fit, position, sigma))) / share
     if all(z_m is None for z_m in depths):
         return None
     packed = quantised(Blocks(lens.cols, tuple(depths), tuple(sigmas)))

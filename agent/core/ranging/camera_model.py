@@ -156,13 +156,16 @@ def load_calibration(path: Path) -> Calibration:
     return convert(data, Calibration, path)
 
 
-def load_focus(path: Path) -> FocusFit:
-    """The lens of a calibration file, which is all that ranges of a whole view need: [camera] may be missing. Raises
-    ConfigError with one line."""
+def load_focus(path: Path) -> tuple[FocusFit, CameraFit | None]:
+    """The lens of a calibration file, and its camera, which may be missing: ranges of a whole view are then those of
+    its axis. Raises ConfigError with one line."""
     data = read_toml(path)
     if "focus" not in data:
         raise ConfigError(f"{path}: {NO_FOCUS}")
-    return load_calibration(path).swept if "camera" in data else convert(data, _Lens, path).focus
+    if "camera" not in data:
+        return convert(data, _Lens, path).focus, None
+    calibration = load_calibration(path)
+    return calibration.swept, calibration.camera
 
 
 class _Lens(Struct, frozen=True, kw_only=True):

@@ -31,7 +31,7 @@ from agent.core.ranging.camera_model import (
     slopes_per_px,
     to_camera,
 )
-from agent.core.ranging.focus import at_tilt, h, range_variance
+from agent.core.ranging.focus import at_tilt, h, port_share, range_variance, through_port
 from agent.core.target_state import bearing, ranged
 from agent.core.verdict import Ratio
 
@@ -144,6 +144,7 @@ EDGE_BIAS_PX = 0.09
 EDGE_NOISE_PX = 0.03
 ARC_POWER = 1.5  # where vision states no sigma, share ** -1.5 times as much: 0.25 px of half an outline
 CENTRE_NOISE_PX = 0.1  # of the middle of an outline, beside the residual of the camera's calibration
+TEXTURE = 0.1  # share by which what a port does may be off, for texture runs in some directions more than in others
 WARMTH = 0.005  # peak half-widths by which the lens moves as its coil warms up: a tenth of a micrometre
 FARTHEST_M = 1.2  # so far a target is found in most kinds of water
 TURNED = 0.25  # of the range, standard deviation: a thing of known length shows less of it from most sides
@@ -237,22 +238,27 @@ def focus_range(
     ball: Target,
     tilt_rad: float = 0.0,
 ) -> Range | None:
-    """The skin's z-depth from the pivot is h(rho); the centre lies behind it on the same ray. None beyond the pole.
+    """The skin's z-depth from the pivot is h(rho), by as much more as the port makes it look nearer off the axis; the
+    centre lies behind it on the same ray. None beyond the pole.
 
     Of a thing without known shape the skin is all there is.
     """
     fit = at_tilt(fit, tilt_rad)
-    u_m = h(fit, rho)
-    if u_m is None:
+    sharp_m = h(fit, rho)
+    if sharp_m is None:
         return None
-    m_z = ray(camera, centre_px)[2]
+    m_z, share = ray(camera, centre_px)[2], port_share(camera, centre_px)
+    u_m = through_port(sharp_m, share)
     skin_m = (u_m - camera.ahead_m) / m_z
     random, systematic = range_variance(fit, rho, sigma_rho)
     travel = rho - fit.rho0
+    systematic += (fit.b_m / travel**2 * WARMTH * fit.width) ** 2
+    per_m = 1.0 / (share * m_z)
+    stripes_m = TEXTURE * (1.0 - share) * u_m / m_z
     return Range(
         skin_m + (0.0 if ball.radius_m is None else centre_behind_skin_m(skin_m, ball.radius_m)),
-        random / (m_z * m_z),
-        (systematic + (fit.b_m / travel**2 * WARMTH * fit.width) ** 2) / (m_z * m_z),
+        random * per_m * per_m,
+        systematic * per_m * per_m + stripes_m * stripes_m,
     )
 
 

@@ -18,7 +18,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agent.core.ranging.camera_model import FocusFit
+from agent.core.ranging.camera_model import CameraFit, FocusFit, ray
 
 Array = NDArray[np.float64]
 Method = Literal["matched", "parabola", "argmax"]
@@ -290,6 +290,42 @@ def _top(x: Array, y: Array, method: Method) -> tuple[Array, Array]:
     convex = (bend < 0) & (best == i)
     top = x[i] - (d1 + bend * h1) / (2.0 * np.where(convex, bend, -1.0))
     return np.where(convex, np.clip(top, x[i - 1], x[i + 1]), x[best]), variance
+
+
+# --- off the axis, through a flat port ---
+#
+# A flat port refracts by angle. Off the axis it makes a point look nearer, and not equally near to both of the pencil's
+# fans: with k = cos a / cos w, a and w the chief ray's angles in air and in water, the sagittal fan is sharp as if at
+# p + (z - p) k / n and the tangential one as if at p + (z - p) k^3 / n. Clarity of texture that runs in all directions
+# peaks between them, at p + K (z - p) / n with K = 2 k^3 / (1 + k^2), and h(rho), which is found on the axis, then
+# reads p + K (z - p). A dome and air have K = 1: there what is left is the lens's own.
+
+WATER_INDEX = 1.333  # sea water's 0.007 more makes 1 mm at 1 m and 24 degrees
+FLAT_PORT = 0.2  # of `bend`, from which on a port is flat and in water: it makes 0.39, a lens's own rarely half of that
+PORT_M = 0.010  # from the pivot to the port: 10 mm more or less make 1 mm at 1 m and 24 degrees
+STEEPEST = 0.95  # of a ray's sine in air
+
+
+def port_share(camera: CameraFit, px: tuple[float, float]) -> float:
+    """K of the direction of a pixel: 1 on the axis, less off it."""
+    return share_at(ray(camera, px)[2]) if camera.bend >= FLAT_PORT else 1.0
+
+
+def share_at(cos_water: float) -> float:
+    """K behind a flat port, by the cosine of a ray's angle to the axis, in water."""
+    sine2 = min(WATER_INDEX * WATER_INDEX * (1.0 - cos_water * cos_water), STEEPEST * STEEPEST)
+    k = math.sqrt((1.0 - sine2) / (1.0 - sine2 / (WATER_INDEX * WATER_INDEX)))
+    return 2.0 * k * k * k / (1.0 + k * k)
+
+
+def through_port(u_m: float, share: float) -> float:
+    """The z-depth from the pivot of what h(rho) takes to be at u_m, in a direction of this share K."""
+    return PORT_M + (u_m - PORT_M) / share
+
+
+def as_on_axis(z_m: float, share: float) -> float:
+    """The inverse: what h(rho) makes of something at a z-depth."""
+    return PORT_M + (z_m - PORT_M) * share
 
 
 # --- lens sag ---

@@ -27,6 +27,7 @@ from agent.core.linear_algebra import full
 from agent.core.messages import Message, Vector
 from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, centre_behind_skin_m, pixel
 from agent.core.ranging.fix import CENTRE_NOISE_PX
+from agent.core.ranging.focus import as_on_axis, port_share
 from agent.core.step_io import (
     BlockPeaks,
     Flow,
@@ -327,7 +328,7 @@ class DrawnBall(DrawnTarget):
         for _ in range(5):
             skin_m = distance_m - centre_behind_skin_m(skin_m, self._radius_m)
         u_inf, b, rho0 = self._lens
-        peak = rho0 + b / (skin_m * z / distance_m - u_inf)
+        peak = rho0 + b / (as_on_axis(skin_m * z / distance_m, port_share(self._camera, centre)) - u_inf)
         return (u, v), radius_px + float(self._rng.normal(0.0, RADIUS_SIGMA_PX)), float(peak)
 
 

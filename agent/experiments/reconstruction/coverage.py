@@ -20,7 +20,7 @@ from agent.capabilities.survey.survey import Surveyor, block_px, surveyor_of
 from agent.core.codec import encode
 from agent.core.config import Coverage, Fleet, Pose, Robot, Survey, Tank, Target
 from agent.core.ranging.camera_model import Calibration, CameraFit, camera_pose, gimbal_deg
-from agent.core.ranging.focus import lens_position, phase_sigma
+from agent.core.ranging.focus import as_on_axis, lens_position, phase_sigma, share_at
 from agent.core.step_io import BlockPeaks, Heard, Inputs, Outputs, SweepPlan
 from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value
 from agent.experiments.navigation.basin import at_rest
@@ -85,6 +85,11 @@ def slopes(camera: CameraFit, side_px: int) -> Floats:
     for _ in range(SLOPE_ROUNDS):
         straight = seen / (1.0 + camera.bend * (straight**2).sum(axis=1, keepdims=True))
     return straight
+
+
+def block_shares(camera: CameraFit, side_px: int) -> list[float]:
+    """What the flat port of the camera makes of the depths of its blocks: `ranging.focus.share_at`."""
+    return [share_at(1.0 / math.sqrt(1.0 + x * x + y * y)) for x, y in slopes(camera, side_px).tolist()]
 
 
 def look(scene: Scene, at_m: Floats, rotation: Floats, camera: CameraFit, side_px: int) -> Seen:
@@ -259,11 +264,13 @@ class World:
         side = plan.block_px
         eye = gimbal_eye(self.fleet, name, outputs.set_point.servos_us[:2])
         seen = look(self.scene, np.array(eye.position_m), np.array(eye.rotation), SURVEY_CAMERA, side)
-        peaks = []
+        peaks, shares = [], block_shares(SURVEY_CAMERA, side)
         for k, z_m in enumerate(seen.z_m):
             if not (0.08 < z_m < 1.6) or self.rng.random() > SHOWS or seen.cos[k] < STEEPEST:
                 continue
-            peaks.append((k, lens_position(FOCUS, float(z_m)) + float(self.rng.normal(0.0, SIGMA)), SIGMA))
+            peaks.append(
+                (k, lens_position(FOCUS, as_on_axis(float(z_m), shares[k])) + float(self.rng.normal(0.0, SIGMA)), SIGMA)
+            )
         return found_in(plan, SURVEY_CAMERA, side, peaks, self.now_ns - STEP_NS)
 
 

@@ -15,13 +15,13 @@ from agent.capabilities.survey.coverage_map import STEEPEST, CoverageMap, grid_o
 from agent.capabilities.survey.survey import NOISIER, surveyor_of
 from agent.core.config import Coverage, Fleet, Pose, Survey
 from agent.core.ranging.camera_model import CameraFit
-from agent.core.ranging.focus import lens_position, phase_sigma
+from agent.core.ranging.focus import as_on_axis, lens_position, phase_sigma
 from agent.core.step_io import BlockPeaks, SweepPlan
 from agent.experiments.claim import Claim, Figure, Row, Rows, Value
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import CAMERA, START_NS, Bodies, PlanarBodies
 from agent.experiments.navigation.swimmers import FOCUS, LATE_STEPS, Eyes, Frame, Swimmers
-from agent.experiments.reconstruction.coverage import Scene, draw_scene, found_in, look
+from agent.experiments.reconstruction.coverage import Scene, block_shares, draw_scene, found_in, look
 from hw.twin.camera_device import look as eye_of
 from hw.twin.scene import generator
 
@@ -64,14 +64,14 @@ class SurveyEyes(Eyes):
         side, camera, rng = plan.block_px, bodies.camera(name), self._rng
         seen = look(self._scene, np.array(eye.position_m), np.array(eye.rotation), camera, side)
         own = math.hypot(FOCUS.noise, phase_sigma(FOCUS.width, side * side))
-        peaks = []
+        peaks, shares = [], block_shares(camera, side)
         for k, z_m in enumerate(seen.z_m):
             shows = 0.12 < z_m < 1.6 and seen.cos[k] > STEEPEST and rng.random() < SHOWS
             wrong = rng.random() < 1.0 / OUTLIERS
             if shows:
                 true_m = float(rng.uniform(*WRONG_M)) if wrong else float(z_m)
                 off = NOISIER * own * float(rng.normal())
-                peaks.append((k, lens_position(FOCUS, true_m) + off, NOISIER * own))
+                peaks.append((k, lens_position(FOCUS, as_on_axis(true_m, shares[k])) + off, NOISIER * own))
         return found_in(plan, camera, side, peaks, bodies.now_ns)
 
 

@@ -125,16 +125,41 @@ def vergence(lens: Lens, image_distance_m: float) -> float:
     return 1 / lens.focal_m - 1 / image_distance_m
 
 
-def apparent_m(depth_m: Any, index: float, gap_m: float) -> Any:
-    """Where an object at z-depth `depth_m` seems to be, seen through a port `gap_m` ahead (paraxial)."""
-    return gap_m + (depth_m - gap_m) / index
+def apparent_m(depth_m: Any, index: float, gap_m: float, share: Any = 1.0) -> Any:
+    """Where an object at z-depth `depth_m` seems to be, seen through a port `gap_m` ahead: paraxial, times `nearer`."""
+    return gap_m + (depth_m - gap_m) * share / index
 
 
-def circles(depth_m: Floats, lens: Lens, image_distance_m: float, index: float, largest_px: float) -> Floats:
-    """Radius of the circle of confusion, px, of each z-depth; at most `largest_px`."""
+def nearer(lens: Lens, image_distance_m: float, index: float, corner: tuple[int, int], size: tuple[int, int]) -> Floats:
+    """(h, w): share of its paraxial distance behind the port at which a pixel's ray, all texture taken together, is
+    sharp. The window refracts by Snell's law, so rays that leave a point a little apart meet nearer the steeper they
+    are: by cos a / cos w across the plane of incidence and by the cube of that within it. Clarity is the mean of both
+    gradients' energies, so its peak is the mean of the two vergences."""
+    x0, y0 = corner
+    height, width = size
+    slope = lens.pixel_m / image_distance_m
+    x = (np.arange(x0, x0 + width) - lens.centre_px[0]) * slope
+    y = (np.arange(y0, y0 + height) - lens.centre_px[1]) * slope
+    r2 = x * x + (y * y)[:, None]
+    stretch = 1.0 + r2 * (lens.k1 + lens.k2 * r2)
+    tan2 = r2 * stretch * stretch  # in air
+    sin2 = tan2 / (1.0 + tan2)
+    across = np.sqrt((1.0 - sin2) / (1.0 - sin2 / index**2))
+    return np.asarray(2.0 / (1.0 / across + 1.0 / across**3), np.float32)
+
+
+def circles(
+    depth_m: Floats,
+    lens: Lens,
+    image_distance_m: float,
+    index: float,
+    largest_px: float,
+    share: Floats | float = 1.0,
+) -> Floats:
+    """Radius of the circle of confusion, px, of each z-depth; at most `largest_px`. share: as `nearer` has it."""
     gain = np.float32(circle_gain(lens, image_distance_m))
     sharp = np.float32(vergence(lens, image_distance_m))
-    error = sharp - np.float32(1) / apparent_m(depth_m, index, lens.port_gap_m)
+    error = sharp - np.float32(1) / apparent_m(depth_m, index, lens.port_gap_m, share)
     return np.asarray(np.minimum(gain * np.abs(error), np.float32(largest_px)), np.float32)
 
 

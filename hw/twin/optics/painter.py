@@ -28,6 +28,7 @@ from hw.twin.optics.image_formation import (
     gamma_curve,
     margin,
     meter,
+    nearer,
     noise_key,
     normal_quantiles,
     parts_of,
@@ -172,7 +173,8 @@ class Painter:
         view = self._view(middle, image_distance_m)
         x0, y0, w0, h0 = grown(part, margin(LARGEST_PX))
         depth, identity = traced(view, (x0, y0, w0, h0))
-        radius = circles(depth, self._lens, image_distance_m, self._index, LARGEST_PX)
+        share = nearer(self._lens, image_distance_m, self._index, (x0, y0), (h0, w0))
+        radius = circles(depth, self._lens, image_distance_m, self._index, LARGEST_PX, share)
 
         # Tracing is cheap and tells how much of the surroundings the blur really needs.
         inside = np.s_[y - y0 : y - y0 + height, x - x0 : x - x0 + width]
