@@ -172,7 +172,10 @@ def calibrations() -> Iterator[dict[str, object]]:
         with TemporaryDirectory() as folder:
             path = Path(folder) / "r1.toml"
             path.write_text(dump(CALIBRATION).replace(f"[{lacking}]", "[other]"))
-            yield {"calibration without": lacking, "says": [about(path, load_calibration), about(path, lambda path: load_focus(path)[0])]}
+            yield {
+                "calibration without": lacking,
+                "says": [about(path, load_calibration), about(path, lambda path: load_focus(path)[0])],
+            }
 
 
 def said(path: Path) -> list[str]:

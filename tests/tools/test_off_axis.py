@@ -1,0 +1,81 @@
+"""Ranges off the axis, through a flat port, on stacks of a renderer that nobody here wrote: Mitsuba, true depths."""
+
+import json
+import math
+
+import cv2
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from agent.core.ranging.camera_model import CameraFit
+from agent.core.ranging.focus import port_share, share_at
+from agent.perception.depth_sweep import measure, sweep
+from hw.camera.files import open_stack
+from tests.known_lens import FOCUS
+from tests.places import DATA
+from tests.tools.planes import quiet
+
+STACKS = DATA / "rendered_stacks"
+BLOCK, SIZE = 32, (640, 480)
+FLAT = 0.03  # of its depth that a square may span: more is an edge, or a slope of which no peak is the middle
+
+
+def off_axis(name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Errors of all squares of one depth, m, and their depths."""
+    folder = STACKS / name
+    made = json.loads((folder / "scene.json").read_text())
+    index, port_m, focal_m = made["n_water"], made["port_m"], made["focal_length_m"]
+    focus = replace(
+        FOCUS,
+        u_inf_m=port_m + index * (focal_m - port_m),
+        b_m=index * focal_m**2 / (made["step_um"] * 1e-6),
+        rho0=0.0,
+    )
+    camera = CameraFit(
+        width_px=SIZE[0],
+        height_px=SIZE[1],
+        f_px=index * SIZE[0] / 2 / math.tan(math.radians(made["fov_x_deg"] / 2)),
+        cx_px=(SIZE[0] - 1) / 2,
+        cy_px=(SIZE[1] - 1) / 2,
+        bend=(index**2 - 1) / 2,
+        ahead_m=-(index - 1) * port_m,
+    )
+    truth_m = cv2.imread(str(folder / "depth_tenth_mm.png"), cv2.IMREAD_UNCHANGED) * 1e-4
+    found = measure(sweep(open_stack(folder), BLOCK, quiet), BLOCK, focus, camera=camera)
+    rows = []
+    for squares, told, side in (
+        (found.blocks, found.blocks.accepted, BLOCK),
+        (found.parts, found.used_parts(), BLOCK // found.along),
+    ):
+        for row, col in np.argwhere(told):
+            depths_m = truth_m[row * side : (row + 1) * side, col * side : (col + 1) * side]
+            middle_m = float(np.median(depths_m))
+            if depths_m.min() > 0.0 and np.ptp(depths_m) < FLAT * middle_m:
+                rows.append((squares.range_m[row, col] - middle_m, middle_m))
+    errors, depths = np.array(rows).T
+    return errors, depths
+
+
+@pytest.mark.skipif(
+    not STACKS.is_dir(), reason=f"the rendered stacks are not here: set AUCAMP_DATA (looked in {STACKS})"
+)
+@pytest.mark.parametrize(("name", "times"), [("tap_a", 1.0), ("veil_a", 2.0)])
+def test_another_program_s_pictures_are_ranged_right_all_over_the_frame(name: str, times: float) -> None:
+    """To 21 degrees in air. Without the port's share the median is -38 mm, and a tenth is 77 mm off or more."""
+    errors_m, depths_m = off_axis(name)
+    off = np.abs(errors_m) / depths_m
+    assert len(off) > 250
+    assert abs(np.median(errors_m)) < 2e-3 * times
+    assert np.median(off[depths_m < 1.0]) < 0.003 * times
+    assert np.quantile(off, 0.9) < 0.01 * times
+
+
+def test_a_port_shows_what_lies_aside_nearer_and_a_dome_does_not() -> None:
+    flat = CameraFit(width_px=640, height_px=480, f_px=1111.0, cx_px=319.5, cy_px=239.5, bend=0.39)
+    assert port_share(flat, (319.5, 239.5)) == 1.0
+    read = {10.0: 986.84, 20.0: 946.00, 30.0: 873.49}  # mm, by traced rays: 1 m ahead of the lens, 20 mm to the port
+    for air_deg, read_mm in read.items():
+        sine = math.sin(math.radians(air_deg)) / 1.333
+        assert share_at(math.sqrt(1.0 - sine * sine)) == pytest.approx((read_mm - 20.0) / 980.0, abs=2e-5)
+    assert port_share(replace(flat, bend=0.0), (0.0, 0.0)) == 1.0
