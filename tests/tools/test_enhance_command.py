@@ -16,7 +16,8 @@ from agent.tools import evaluate_enhance as enhance_evaluate
 from agent.tools.enhance import pictures
 from hw.camera.files import VideoCamera
 
-PICTURE = np.random.default_rng(1).integers(30, 200, (40, 60, 3), dtype=np.uint8)
+NOISE = np.random.default_rng(1).integers(30, 200, (40, 60, 3), dtype=np.uint8)
+PICTURE = np.asarray(NOISE * [0.9, 0.8, 0.3], np.uint8)  # as under water: red reaches not far
 
 
 def enhance(source, out, **more):
@@ -36,6 +37,19 @@ def test_an_image_beside_its_enhanced_self(tmp_path):
     assert both.shape == (40, 120, 3)
     assert np.array_equal(both[:, :60], PICTURE)
     assert not np.array_equal(both[:, 60:], PICTURE)
+
+
+def test_how_much_a_picture_changed_is_said(tmp_path, capsys):
+    """One under water, and one that lacks nothing."""
+    (tmp_path / "in").mkdir()
+    write(tmp_path / "in" / "lacks.png")
+    write(tmp_path / "in" / "well.png", NOISE)
+    console = Console(width=200)
+    options = {"side_by_side": False, "variant": "classic", "weights": None, "frames": None}
+    assert enhance_source.run(str(tmp_path / "in"), tmp_path / "out", console=console, **options) == 0
+    said = capsys.readouterr().out
+    assert "well.png: changed by 0.0 levels, 100 % of it left as it is" in said
+    assert "lacks.png: changed by" in said and "lacks.png: changed by 0.0" not in said
 
 
 def test_a_corrupt_image_of_a_folder_is_named_and_the_others_are_done(tmp_path, capsys):
