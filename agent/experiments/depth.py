@@ -11,8 +11,8 @@ import math
 import msgspec
 import numpy as np
 
-from agent.core.ranging.camera_model import FocusFit
-from agent.core.ranging.focus import Array, Method, TiltedPeak, at_tilt, fit_peaks, with_sag
+from agent.core.ranging.camera_model import CameraFit, FocusFit
+from agent.core.ranging.focus import Array, Method, TiltedPeak, as_on_axis, at_tilt, fit_peaks, port_share, with_sag
 from agent.experiments.claim import Claim, Figure, Row, Rows, Value
 from agent.experiments.still_camera import (
     BLOCK_PX,
@@ -45,18 +45,31 @@ WALL_PX = 400  # side of the picture's middle that sees it
 
 def calibrate(camera: StillCamera, growth: float, repeats: int = WALL_REPEATS) -> FocusFit:
     """The wall square to the camera at known distances, then looking up and down at it for the lens's sag."""
-    found = []
+    found, share = [], wall_share(camera)
     for u_m in np.repeat(WALL_M, repeats).tolist():
         peak = wall_peak(camera, facing_wall(u_m), growth)
         if peak is not None:
-            found.append(FocusRow(u_m, *peak))
+            found.append(FocusRow(as_on_axis(u_m, share), *peak))
     tilted = []
     for u_m in SAG_M:
         for tilt_deg in (-SAG_TILT_DEG, SAG_TILT_DEG):
             peak, tilt = wall_peak(camera, facing_wall(u_m, tilt_deg), growth), math.radians(tilt_deg)
             if peak is not None:
-                tilted.append(TiltedPeak(u_m / math.cos(tilt), peak[0], tilt))
+                tilted.append(TiltedPeak(as_on_axis(u_m / math.cos(tilt), share), peak[0], tilt))
     return with_sag(fit_focus(found), tilted)
+
+
+def wall_part(camera: StillCamera) -> Roi:
+    """The picture's middle."""
+    width, height = camera.size
+    return Roi((width - WALL_PX) // 16 * 8, (height - WALL_PX) // 16 * 8, WALL_PX, WALL_PX)
+
+
+def wall_share(camera: StillCamera) -> float:
+    """What the flat port makes of the wall's distance there, in the median of the blocks."""
+    part, seen = wall_part(camera), camera.seen()
+    middles = [(k + 0.5) * BLOCK_PX - 0.5 for k in range(WALL_PX // BLOCK_PX)]
+    return float(np.median([port_share(seen, (part.x + x, part.y + y)) for x in middles for y in middles]))
 
 
 def wall_peak(camera: StillCamera, view: TankView, growth: float) -> tuple[float, float] | None:
@@ -65,8 +78,7 @@ def wall_peak(camera: StillCamera, view: TankView, growth: float) -> tuple[float
     A wall has no edges in depth for the strict gate to find: it would only take blocks away, nearly all of them at the
     near end, where peaks are widest.
     """
-    width, height = camera.size
-    middle = Roi((width - WALL_PX) // 16 * 8, (height - WALL_PX) // 16 * 8, WALL_PX, WALL_PX)
+    middle = wall_part(camera)
     rho = np.array(lens_positions(camera), float)
     camera.view = view
     swept = clarity_of(sweep(camera, middle), rho, BLOCK_PX, growth)
@@ -78,11 +90,11 @@ def wall_peak(camera: StillCamera, view: TankView, growth: float) -> tuple[float
 # --- depth of whole views, and its errors ---
 
 
-def map_of(swept: SweptView, fit: FocusFit, method: Method) -> DepthMap:
+def map_of(swept: SweptView, fit: FocusFit, seen: CameraFit, method: Method) -> DepthMap:
     """The depth of every block, with this way to take the peak, or of its parts where it holds two depths."""
     tilt = math.radians(swept.view.tilt_deg)  # a robot knows it from gimbal and pressure
     clarity = clarity_of(swept.images, swept.lens_positions, BLOCK_PX, swept.growth, split=True)
-    return measure(clarity, BLOCK_PX, at_tilt(fit, tilt), method, MIN_QUALITY)
+    return measure(clarity, BLOCK_PX, at_tilt(fit, tilt), method, MIN_QUALITY, seen)
 
 
 def errors(swept: list[SweptView], maps: list[DepthMap]) -> dict[str, float | None]:
@@ -136,7 +148,8 @@ def run(seed: int, case: str, settings: Settings) -> list[Row]:
     growth = breathing(camera)
     fit = calibrate(camera, growth, settings.repeats)
     swept = [sweep_view(camera, view, growth) for view in VIEWS[: settings.views]]
-    return [{"way": way, **errors(swept, [map_of(one, fit, way) for one in swept])} for way in METHODS]
+    seen = camera.seen()
+    return [{"way": way, **errors(swept, [map_of(one, fit, seen, way) for one in swept])} for way in METHODS]
 
 
 def summary(rows: Rows) -> dict[str, Value]:

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.messages import Vector
+from agent.core.ranging.camera_model import CameraFit
 from agent.core.ranging.focus import Array
 from agent.perception.clarity import grid
 from agent.perception.depth_peaks import measure_growth
@@ -75,6 +76,19 @@ class StillCamera:
 
     def close(self) -> None:
         """Nothing is held open."""
+
+    def seen(self) -> CameraFit:
+        """Its picture in water, from the data sheet of its lens and port: what ranges off the axis need."""
+        lens = self.lens
+        return CameraFit(
+            width_px=lens.width,
+            height_px=lens.height,
+            f_px=WATER_INDEX * lens.at_rest_m / lens.pixel_m,
+            cx_px=lens.centre_px[0],
+            cy_px=lens.centre_px[1],
+            bend=0.5 * (WATER_INDEX**2 - 1.0),
+            ahead_m=(1.0 - WATER_INDEX) * lens.port_gap_m,
+        )
 
     def truth_m(self, lens_position: float) -> Floats:
         """z-depth (height, width) of every pixel with the lens at rest at `lens_position`, metres."""

@@ -46,7 +46,7 @@ def test_calibration_on_the_wall(camera, fit):
 @pytest.mark.slow
 def test_one_view(camera, fit):
     swept = sweep_view(camera, VIEWS[1], 0.043)
-    errors = {way: depth.errors([swept], [depth.map_of(swept, fit, way)]) for way in depth.METHODS}
+    errors = {way: depth.errors([swept], [depth.map_of(swept, fit, camera.seen(), way)]) for way in depth.METHODS}
     assert all(found["told"] > 0.7 for found in errors.values())
     assert errors["matched"]["near_mm"] < 10 and errors["matched"]["near_mm"] < errors["argmax"]["near_mm"]
 
