@@ -216,6 +216,7 @@ def reconstruct_command(
     """A scene in three dimensions from a fleet's focus sweeps: surface, files for other programs, a report."""
     from agent.process.command import with_bar
     from agent.reconstruction.export import Kind
+    from agent.reconstruction.report import in_metres
     from agent.reconstruction.run import Settings, run
     from replay.files.recover import auto_recovered
 
@@ -246,7 +247,7 @@ def reconstruct_command(
     for note in result.notes:
         complain(note)
     f = result.figures
-    if "area_m2" in f:
+    if in_metres(f):
         area, sigma = f"{f['area_m2']:.2f} m2", f"{f['sigma_mm']['p50']:.1f} mm"
     else:
         area, sigma = f"{f['area_units2']:.3g} of its own units squared", f"{f['sigma_units']['p50']:.2g} units"

@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from msgspec.structs import replace
 from numpy.typing import NDArray
 
 from agent.core.config import ConfigError
@@ -304,7 +303,7 @@ def measure(
     camera: CameraFit | None = None,
 ) -> DepthMap:
     """Peak of every block's curve, and its range where a calibration tells it; every method keeps the same blocks.
-    camera: that took whole pictures, so that ranges off its axis are right as well.
+    camera: that took the pictures, which begin at corner_px of it, so that ranges off its axis are right as well.
 
     Where the sweep was taken to be split, blocks with two depths are refused, and their parts are measured.
     """
@@ -380,9 +379,8 @@ def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> Sweep
     reference = seen[taken.reference]
     x, y = _centre(reference)
     left_px, top_px = reference.roi[0] + x - half_x, reference.roi[1] + y - half_y
-    whole = calibration.camera
-    camera = replace(whole, cx_px=whole.cx_px - left_px, cy_px=whole.cy_px - top_px)
-    found = measure(taken, BLOCK_PX, calibration.focus, camera=camera)
+    taken = taken._replace(corner_px=(left_px, top_px))
+    found = measure(taken, BLOCK_PX, calibration.focus, camera=calibration.camera)
     assert found.blocks.range_m is not None  # there is a calibration
     return SweepDepth(
         t_ns=seen[0].sighting.t_ns,

@@ -53,7 +53,7 @@ class Made(NamedTuple):
     passed_over: dict[str, int]  # sweeps and pictures that gave no view, by reason
     notes: list[str]  # what a person should know of the pictures
     own: float = 1.0  # by what to multiply lengths for those of the scene
-    unit: str = "m"  # that these have; "": nobody knows
+    metres: bool = True  # these are; else nobody knows their unit
 
 
 class Result(NamedTuple):
@@ -112,7 +112,7 @@ def _from_pictures(settings: Settings, folder: Path, show: Show) -> Made:
     by = scale_of(views)
     used, held = held_back(scaled(views, by))
     found = with_depths(used, lambda done, total: show(done, total, "looking for depths"))
-    return Made(_built(found, settings, True, show), held, posed.passed_over, posed.notes, 1.0 / by, "")
+    return Made(_built(found, settings, True, show), held, posed.passed_over, posed.notes, 1.0 / by, False)
 
 
 def _built(views: Sequence[View], settings: Settings, stereo: bool, show: Show) -> Built:
@@ -153,7 +153,7 @@ def figures_of(views: Sequence[View], mesh: Mesh, made: Made) -> dict[str, Any]:
     their names say which."""
     size = [float(f"{length:.4g}") for length in np.ptp(mesh.vertices_m, axis=0).tolist()]
     sigma = {f"p{percent}": float(np.percentile(mesh.sigma_m, percent)) for percent in (10, 50, 90)}
-    if made.unit == "m":
+    if made.metres:
         lengths: dict[str, Any] = {
             "area_m2": round(area_m2(mesh), 4),
             "size_m": size,
@@ -219,6 +219,8 @@ def looked_at(views: Sequence[View]) -> Floats:
 
 def scaled(views: Sequence[View], by: float) -> list[View]:
     """All lengths multiplied."""
+    if by == 1.0:  # views of a dive: a copy of all their pictures' depths would be for nothing
+        return list(views)
     return [
         replace(
             view,

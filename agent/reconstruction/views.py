@@ -16,7 +16,6 @@ from typing import Any, Literal, NamedTuple
 
 import cv2
 import numpy as np
-from msgspec import structs
 from numpy.typing import NDArray
 
 from agent.core.ranging.camera_model import Calibration, FocusFit, at_lens_position
@@ -394,8 +393,7 @@ def keyframe(
     swept = clarity_of(list(images), lens_positions, block, growth, split=True)
     focus = at_tilt(calibration.swept, tilt_rad)
     fit = at_lens_position(calibration.camera, float(lens_positions[swept.reference]))
-    part = structs.replace(fit, cx_px=fit.cx_px - corner_px[0], cy_px=fit.cy_px - corner_px[1])
-    found = measure(swept, block, focus, camera=part)
+    found = measure(swept._replace(corner_px=corner_px), block, focus, camera=fit)
     whole = Camera(fit.f_px, fit.cx_px - corner_px[0], fit.cy_px - corner_px[1], fit.bend, fit.ahead_m, width, height)
     size = 1.0 + growth * (lens_positions - lens_positions[0]) / (lens_positions[-1] - lens_positions[0])
     size = size / size[swept.reference]

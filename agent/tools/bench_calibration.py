@@ -159,7 +159,7 @@ def tilted_peaks(
 def window_share(seen: CameraFit) -> float:
     """K of the part of the picture in which a board is read, as pixels count there."""
     x, y, width, height = middle_of((seen.width_px, seen.height_px))
-    across, down = np.hanning(COARSE_PX + 2)[1:-1], np.hanning(COARSE_PX + 2)[1:-1]
+    fades = np.hanning(COARSE_PX + 2)[1:-1]
     shares = [
         [
             port_share(seen, (x + (i + 0.5) * width / COARSE_PX - 0.5, y + (j + 0.5) * height / COARSE_PX - 0.5))
@@ -167,7 +167,7 @@ def window_share(seen: CameraFit) -> float:
         ]
         for j in range(COARSE_PX)
     ]
-    return float((np.array(shares) * np.outer(down, across)).sum() / np.outer(down, across).sum())
+    return float(np.average(shares, weights=np.outer(fades, fades)))
 
 
 def board_peak(camera: TimedCamera, limits: FocusRange, steps: int, settle_s: float) -> Peak | None:

@@ -77,5 +77,5 @@ def test_a_port_shows_what_lies_aside_nearer_and_a_dome_does_not() -> None:
     read = {10.0: 986.84, 20.0: 946.00, 30.0: 873.49}  # mm, by traced rays: 1 m ahead of the lens, 20 mm to the port
     for air_deg, read_mm in read.items():
         sine = math.sin(math.radians(air_deg)) / 1.333
-        assert share_at(math.sqrt(1.0 - sine * sine)) == pytest.approx((read_mm - 20.0) / 980.0, abs=2e-4)
+        assert share_at(flat, math.sqrt(1.0 - sine * sine)) == pytest.approx((read_mm - 20.0) / 980.0, abs=2e-4)
     assert port_share(replace(flat, bend=0.0), (0.0, 0.0)) == 1.0

@@ -78,7 +78,6 @@ from agent.core.ranging.camera_model import (
     to_world,
 )
 from agent.core.ranging.focus import (
-    FLAT_PORT,
     at_tilt,
     h,
     lens_position,
@@ -153,11 +152,10 @@ def frame_of(
     slopes, ahead_m = block_slopes(lens, lens.cols * rows), lens.ahead * UNIT_M
     depths: list[float | None] = [None] * count
     sigmas = [0.0] * count
-    flat = calibration.camera.bend >= FLAT_PORT
     for k, position, sigma in peaks.peaks:
         if k < count and (sharp_m := h(fit, position)) is not None:
             x, y = slopes[k]
-            share = share_at(1.0 / math.sqrt(1.0 + x * x + y * y)) if flat else 1.0
+            share = share_at(calibration.camera, 1.0 / math.sqrt(1.0 + x * x + y * y))
             z_m = through_port(sharp_m, share)
             there = to_world(eye, (x * (z_m - ahead_m), y * (z_m - ahead_m), z_m))
             if any(_is_at(there, hull_m) for hull_m in hulls_m):

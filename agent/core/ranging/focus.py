@@ -308,11 +308,13 @@ STEEPEST = 0.95  # of a ray's sine in air
 
 def port_share(camera: CameraFit, px: tuple[float, float]) -> float:
     """K of the direction of a pixel: 1 on the axis, less off it."""
-    return share_at(ray(camera, px)[2]) if camera.bend >= FLAT_PORT else 1.0
+    return share_at(camera, ray(camera, px)[2])
 
 
-def share_at(cos_water: float) -> float:
-    """K behind a flat port, by the cosine of a ray's angle to the axis, in water."""
+def share_at(camera: CameraFit, cos_water: float) -> float:
+    """The same by the cosine of a ray's angle to the axis, in water."""
+    if camera.bend < FLAT_PORT:
+        return 1.0
     sine2 = min(WATER_INDEX * WATER_INDEX * (1.0 - cos_water * cos_water), STEEPEST * STEEPEST)
     k = math.sqrt((1.0 - sine2) / (1.0 - sine2 / (WATER_INDEX * WATER_INDEX)))
     return 2.0 * k * k * k / (1.0 + k * k)

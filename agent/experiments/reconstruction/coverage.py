@@ -89,7 +89,7 @@ def slopes(camera: CameraFit, side_px: int) -> Floats:
 
 def block_shares(camera: CameraFit, side_px: int) -> list[float]:
     """What the flat port of the camera makes of the depths of its blocks: `ranging.focus.share_at`."""
-    return [share_at(1.0 / math.sqrt(1.0 + x * x + y * y)) for x, y in slopes(camera, side_px).tolist()]
+    return [share_at(camera, 1.0 / math.sqrt(1.0 + x * x + y * y)) for x, y in slopes(camera, side_px).tolist()]
 
 
 def look(scene: Scene, at_m: Floats, rotation: Floats, camera: CameraFit, side_px: int) -> Seen:

@@ -44,7 +44,6 @@ Image = NDArray[np.uint8]
 # warm, lacks nothing that an enhancement could bring back: its blue is the water's own, and stays. None of 108 real
 # pictures that were made better by people passes both, and 100 of what people made of them do.
 
-AS_SEEN_PX = 160 * 120  # in which that is looked at
 RED_RANGE = (0.55, 0.65)  # from the darkest hundredth to the brightest, full scale 1: below no, above yes
 WARM_SHARE = (0.01, 0.04)  # of the pixels
 WARM, BRIGHT = 0.95, 0.25  # red against the stronger of the others; full scale 1
@@ -52,10 +51,11 @@ WARM, BRIGHT = 0.95, 0.25  # red against the stronger of the others; full scale 
 
 def needs_nothing(image: Image) -> float:
     """From 0, enhance it, to 1, leave it as it is; between them, so much of it stays."""
-    height, width = image.shape[:2]
-    shrink = max(1.0, math.sqrt(height * width / AS_SEEN_PX))
-    size = max(1, round(width / shrink)), max(1, round(height / shrink))
-    seen = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.float32) / np.float32(255)
+    return share_kept(np.asarray(shrunk(image, SMALL_PX), np.float32) / np.float32(255))
+
+
+def share_kept(seen: Floats) -> float:
+    """The same of a small picture (h, w, 3), full scale 1."""
     blue, green, red = cv2.split(seen)
     dark, bright = np.percentile(red, (1, 99))
     warm = (red >= WARM * cv2.max(blue, green)) & (seen.max(axis=2) > BRIGHT)
@@ -146,9 +146,7 @@ class Colours(NamedTuple):
 def estimate_colours(image: Image, network: Callable[[Image], Floats], small_px: int = SMALL_PX) -> Colours:
     """`network` maps a picture (h, w, 3) uint8 to one of float32, full scale 1, both blue green red."""
     height, width = image.shape[:2]
-    shrink = max(1.0, math.sqrt(height * width / small_px))
-    size = max(1, round(width / shrink)), max(1, round(height / shrink))
-    small = image if size == (width, height) else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA))
+    small = shrunk(image, small_px)
     guide = np.asarray(small, np.float32) / np.float32(255)
     wanted = network(np.ascontiguousarray(small, np.uint8))
     gain = balance(guide, wanted)
@@ -156,11 +154,23 @@ def estimate_colours(image: Image, network: Callable[[Image], Floats], small_px:
     for c in range(3):
         affine[:, :, c, c] += gain[c]
     affine[:, :, 2] *= red_share(guide, affine)
-    kept = np.float32(needs_nothing(image))
+    kept = np.float32(share_kept(guide))
     affine *= 1 - kept
     for c in range(3):
         affine[:, :, c, c] += kept
     return Colours(affine, (width, height))
+
+
+def shrunk(image: Image, most_px: int) -> Image:
+    """The whole picture in about so many pixels at most."""
+    height, width = image.shape[:2]
+    shrink = max(1.0, math.sqrt(height * width / most_px))
+    size = max(1, round(width / shrink)), max(1, round(height / shrink))
+    return (
+        image
+        if size == (width, height)
+        else np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), np.uint8)
+    )
 
 
 def balance(guide: Floats, wanted: Floats) -> Floats:

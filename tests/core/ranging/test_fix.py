@@ -72,7 +72,7 @@ def seen(here: Eye, d: float, off: tuple[float, float]) -> tuple[Outline, float,
     skin = d
     for _ in range(30):
         skin = d - centre_behind_skin_m(skin, BALL.radius_m)
-    rho = lens_position(FOCUS, as_on_axis(skin * m[2] + CAMERA.ahead_m, share_at(m[2])))
+    rho = lens_position(FOCUS, as_on_axis(skin * m[2] + CAMERA.ahead_m, share_at(CAMERA, m[2])))
     reported = round(rho)
     camera = at_lens_position(CAMERA, reported)
     radius_px = camera.f_px * math.asin(BALL.radius_m / d)
