@@ -156,9 +156,10 @@ def matches(marked: Sequence[MarkedBall], balls: Sequence[Ball]) -> dict[int, Ba
 
 
 # --- the claim ---
-# A target: what the size cue needs, and about what a dive of 0.07 m balls shows within 8 m.
+# A target: what the size cue needs, and about what a dive of 0.07 m balls shows within 10 m.
 
-JUDGED_PX = 10.0  # balls from this radius on
+JUDGED_PX = 8.0  # balls from this radius on
+SMALL_PX = 5.0  # smaller ones from this radius on
 
 
 class Settings(msgspec.Struct, frozen=True, kw_only=True):
@@ -205,10 +206,9 @@ def summary(rows: Rows) -> dict[str, Value]:
     figures: dict[str, Value] = {"false": float(sum(len(row["false"]) for row in rows["all"]))}
     balls = [ball for row in rows["all"] for ball in row["balls"]]
     for colour in COLOURS:
-        large, small = (
-            [ball for ball in balls if ball["colour"] == colour and (ball["marked"][2] >= JUDGED_PX) is of_size]
-            for of_size in (True, False)
-        )
+        own = [ball for ball in balls if ball["colour"] == colour]
+        large = [ball for ball in own if ball["marked"][2] >= JUDGED_PX]
+        small = [ball for ball in own if SMALL_PX <= ball["marked"][2] < JUDGED_PX]
         for key, group in ((f"{colour}_found", large), (f"{colour}_small_found", small)):
             if group:
                 figures[key] = Share(sum(ball["found"] is not None for ball in group), len(group))
@@ -231,9 +231,9 @@ CLAIM = Claim(
             figure
             for colour in COLOURS
             for figure in (
-                Figure(f"{colour}_found", f"{colour} balls of 10 px radius and more: found", "%", least=90.0),
+                Figure(f"{colour}_found", f"{colour} balls of 8 px radius and more: found", "%", least=90.0),
                 Figure(f"{colour}_radius_percent", f"{colour}: radius off, median", "%", most=5.0),
-                Figure(f"{colour}_small_found", f"{colour} balls below 10 px: found", "%"),
+                Figure(f"{colour}_small_found", f"{colour} balls of 5 to 8 px radius: found", "%", least=60.0),
             )
         ),
         Figure("false", "called a ball, and none: in all pictures", "", most=0.0),

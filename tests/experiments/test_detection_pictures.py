@@ -95,6 +95,8 @@ def test_a_bad_truth_is_one_line(tmp_path, text, complaint):
         ("balls", "usc_b_0003.jpg", "yellow"),
         ("balls", "usc_b_0008.jpg", "orange"),
         ("balls", "csula_front141.jpg", "red"),
+        ("balls", "csula_front141.jpg", "green"),
+        ("balls", "csula_front131.jpg", "yellow"),
         ("balls_composite", "comp_018.jpg", "red"),
         ("balls_composite", "comp_054.jpg", "green"),
     ],
@@ -124,3 +126,11 @@ def test_a_yellow_ball_beside_a_red_one_is_not_red() -> None:
     image = read_picture(DATA / "real_water" / "failing" / "balls" / "frame-043.png")
     found = {(colour, round(ball.centre_px[0], -1)) for colour, ball in look(image, []).false}
     assert found == {("red", 490), ("orange", 490), ("yellow", 340)}
+
+
+@pytest.mark.skipif(not DATA.is_dir(), reason=f"the shared data are not here: set AUCAMP_DATA (looked in {DATA})")
+def test_a_green_ball_under_a_camera_that_balances_white() -> None:
+    """It has as much red as the water beside it."""
+    image = read_picture(DATA / "real_water" / "failing" / "balls" / "frame-000.png")
+    found = {(colour, round(ball.centre_px[0], -1)) for colour, ball in look(image, []).false}
+    assert found == {("red", 200), ("orange", 200), ("yellow", 50), ("green", 340)}

@@ -68,10 +68,15 @@ BURNT = 0.03  # share of the disc
 GLARE = 0.5  # and from which on a hue as blue as red is only white beside water: a red thing burns out to yellow
 YELLOWISH_RAD, FADED_RAD = math.radians(8.0), math.radians(20.0)  # hues that a yellow one has only so, or near by:
 NEAR_BY = 1.5  # strength from which on the water has not taken much yet
+# A small yellow thing in the sun looks orange, for it is nearly white. Nothing red has so much green light: beside that
+# of the water, sunlit yellow had 1.1 to 1.5 on a real run, red and orange 0.8 at most, 0.98 burnt out (logarithms).
+BLEACHED = 1.05
 # Far through water yellow comes near green. A yellow one still shows red where its colour is strong, a green one never
 # does; where both are faint it is the hue alone.
 GREENISH_RAD = (math.radians(50.0), math.radians(84.0))
-LITTLE_RED, STRONG, MIDDLE_RAD = -1.2, 0.85, math.radians(76.0)
+LITTLE_RED, STRONG, MIDDLE_RAD = -1.44, 0.85, math.radians(76.0)
+# Where the water itself has red left, as in a camera that balances white, yellow stands out from it and green is pale.
+RED_LEFT, PALE = -1.2, 1.0
 # Bare stone, shells and starfish are redder than the water around them: of round spots that are no balls 52 were red,
 # 12 yellow, 8 green (160 pictures, each changed in eight ways; score above 0.35). Doubt that such a colour outweighs.
 RARE = 0.1
@@ -85,6 +90,8 @@ class Tone(NamedTuple):
     red: float  # its own red light against the mean of its blue and green, logarithms
     redder: float  # its own red light against green, logarithms
     burnt: float  # share of it that is too bright to have a colour
+    left: float  # red light of its surroundings against the mean of their blue and green, logarithms
+    green: float  # its green light against theirs, logarithms
 
 
 class Sample(NamedTuple):
@@ -110,7 +117,7 @@ class ColourModel(NamedTuple):
 
 
 def _warm(tone: Tone) -> bool:
-    if tone.burnt > GLARE and tone.hue_rad < 0.0:
+    if (tone.burnt > GLARE and tone.hue_rad < 0.0) or tone.green > BLEACHED:
         return False
     doubtful = tone.hue_rad > YELLOWISH_RAD and (tone.burnt >= BURNT or tone.strength > NEAR_BY)
     return _redder(tone) or not doubtful
@@ -137,6 +144,8 @@ def _green(tone: Tone) -> bool:
 
 def _greenish(tone: Tone) -> bool:
     """Of a hue that yellow and green have: whether it is green."""
+    if tone.left > RED_LEFT:
+        return tone.strength < PALE
     if tone.red > LITTLE_RED:
         return False
     return tone.strength > STRONG or tone.hue_rad > MIDDLE_RAD
@@ -162,9 +171,15 @@ def tone_of(sample: Sample) -> Tone:
     """The tone of a thing, by the median of its pixels against that of the others."""
     shown = exposed(np.concatenate([sample.thing, sample.around])[:, None])
     own, around = (np.median(shown.log_light[pixels], axis=0) for pixels in sample)
-    hue_rad, strength = hue_and_strength(np.asarray(own - around, np.float32))
     burnt = float(((sample.thing >= shown.white).sum(axis=1) >= 2).mean())
-    return Tone(hue_rad, strength, float(own[2] - 0.5 * (own[0] + own[1])), float(own[2] - own[1]), burnt)
+    return tone_between(own, around, burnt)
+
+
+def tone_between(own: Light, around: Light, burnt: float) -> Tone:
+    """The tone of a thing by its own light and that of its surroundings, logarithms (3,) of blue green red."""
+    hue_rad, strength = hue_and_strength(own - around)
+    own_red, left = (float(light[2] - 0.5 * (light[0] + light[1])) for light in (own, around))
+    return Tone(hue_rad, strength, own_red, float(own[2] - own[1]), burnt, left, float(own[1] - around[1]))
 
 
 def sampled(sample: Sample) -> ColourModel | None:

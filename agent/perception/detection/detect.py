@@ -28,10 +28,13 @@ from agent.perception.detection.colour import (
     Light,
     Picture,
     exposed,
+    hue_and_strength,
     weights,
 )
 from agent.perception.detection.outline_cone import (
     AROUND,
+    CIRCLE,
+    CLEAR_PX,
     RAYS,
     Array,
     Cone,
@@ -54,11 +57,12 @@ from agent.perception.detection.outline_cone import (
 FINEST = 2  # the first octave is this much smaller than the picture: a ball of 5 px radius is 5 px across
 SMALLEST = 12  # pixels, of the last octave's shorter side
 WINDOW = 24  # pixels of an octave around a peak in which its spot has to end
-PEAKS = 4  # of each octave, the strongest
+PEAKS = 16, 8, 4  # of each octave, the strongest: small things are many
 MIN_CONTRAST = 0.05  # of a peak against its surroundings, logarithm of light
 NOISES = 4.0  # of the picture's own unrest
 NEIGHBOURS = np.ones((7, 7), np.uint8)
-SPOTS = 8  # the best are looked at closely
+SPOTS = 24  # the best are looked at closely
+WITHIN, AT = 0.45, CIRCLE[:: RAYS // 16]  # where a spot's own colour is looked at: of its radius, and directions
 
 
 class Spot(NamedTuple):
@@ -68,34 +72,52 @@ class Spot(NamedTuple):
     circle: tuple[float, float, float]  # u, v, radius of that circle, pixels
 
 
-def spots(picture: Picture, hue_rad: float) -> list[Spot]:
+def spots(picture: Picture, model: ColourModel) -> list[Spot]:
     """The most promising spots, best first."""
     image = picture.image
     height, width = image.shape[0] // FINEST, image.shape[1] // FINEST
     if min(height, width) < SMALLEST:
         return []
     small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-    plane = np.asarray(cv2.transform(cv2.LUT(small, picture.log_light), weights(hue_rad)[None]), np.float32)
+    logs = np.asarray(cv2.LUT(small, picture.log_light), np.float32)
+    plane = np.asarray(cv2.transform(logs, weights(model.hue_rad)[None]), np.float32)
     found: list[Spot] = []
     octave = 0
     while min(plane.shape) >= SMALLEST:
         scale = image.shape[1] / plane.shape[1], image.shape[0] / plane.shape[0]
-        found += (one for one in _octave(plane, scale))
+        found += (one for one in _octave(plane, scale, PEAKS[min(octave, len(PEAKS) - 1)]))
         if octave == 1:
             found += _largest_first(plane, scale)
         plane = np.asarray(cv2.resize(plane, (plane.shape[1] // 2, plane.shape[0] // 2), interpolation=cv2.INTER_AREA))
         octave += 1
-    return _different(found)[:SPOTS]
+    return [spot for spot in _different(found) if _shows(logs, spot, model)][:SPOTS]
 
 
-def _octave(plane: Light, scale: tuple[float, float]) -> Iterator[Spot]:
+def _shows(log_light: Light, spot: Spot, model: ColourModel) -> bool:
+    """Whether a few pixels of the spot have the colour beside a few around it.
+
+    log_light: of the first octave (height, width, 3). Most spots end here, at a tenth of a closer look's cost.
+    """
+    u, v, radius = spot.circle
+    last = log_light.shape[0] - 1, log_light.shape[1] - 1
+    medians = []
+    for reach in (WITHIN * radius, radius + max(0.5 * radius, CLEAR_PX + 1.0)):
+        x = np.clip(((u + reach * AT[:, 0]) / FINEST).astype(int), 0, last[1])
+        y = np.clip(((v + reach * AT[:, 1]) / FINEST).astype(int), 0, last[0])
+        medians.append(np.sort(log_light[y, x], axis=0)[len(AT) // 2])
+    hue_rad, strength = hue_and_strength(medians[0] - medians[1])
+    near = model.low_rad - SLACK_RAD < hue_rad < model.high_rad + SLACK_RAD
+    return near and strength > MIN_STRENGTH
+
+
+def _octave(plane: Light, scale: tuple[float, float], peaks: int) -> Iterator[Spot]:
     """Spots of one size of picture; `scale`: pixels of the whole one for each of its own, across and down."""
     fine = cv2.GaussianBlur(plane, (5, 5), 1.0)
     stands_out = cv2.subtract(cv2.GaussianBlur(fine, (7, 7), 1.5), cv2.blur(fine, (25, 25)))
     noise = float(np.median(np.abs(stands_out[::4, ::4])))
     highest = cv2.dilate(stands_out, NEIGHBOURS)
     at = np.flatnonzero((stands_out >= highest) & (stands_out > max(MIN_CONTRAST, NOISES * noise)))
-    strongest = at[np.argsort(stands_out.ravel()[at])[::-1][:PEAKS]]
+    strongest = at[np.argsort(stands_out.ravel()[at])[::-1][:peaks]]
     for place in strongest:
         v, u = divmod(int(place), plane.shape[1])
         top, left = max(v - WINDOW, 0), max(u - WINDOW, 0)
@@ -130,16 +152,15 @@ def _outlined(
     contrast: float,
 ) -> Iterator[Spot]:
     """One spot of a window, if it ends within the window."""
-    contours, _ = cv2.findContours(spot, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    points: Array = contours[0][:, 0, :].astype(np.float64)
-    last = np.array([spot.shape[1] - 1, spot.shape[0] - 1])
-    at_window = (points == 0) | (points == last)
-    points += corner
-    edge = np.array([shape[1] - 1, shape[0] - 1])
-    at_picture = (points == 0) | (points == edge)
-    if (at_window & ~at_picture).any():
+    left, top = corner
+    right, bottom = left + spot.shape[1], top + spot.shape[0]
+    height, width = shape
+    within = left > 0, top > 0, right < width, bottom < height
+    if any(side and rim.any() for side, rim in zip(within, (spot[:, 0], spot[0], spot[:, -1], spot[-1]), strict=True)):
         return
-    points = points[~at_picture.any(axis=1)]
+    contours, _ = cv2.findContours(spot, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    points: Array = contours[0][:, 0, :].astype(np.float64) + corner
+    points = points[~((points == 0) | (points == (width - 1, height - 1))).any(axis=1)]
     if len(points) < 6:
         return
     points = (points + 0.5) * scale - 0.5
@@ -194,6 +215,9 @@ MAX_GAIN = 2.5  # a plane weaker than that holds noise, not colour
 # Radius errors that the scatter of the edges does not show. Colour: the blocks of JPEG, the twin's texture at the rim;
 # lightness: share of the edge's width by which a camera's gamma moves it (rms 0.1 on the twin's defocused frames).
 COLOUR_PX, GAMMA = 0.15, 0.10
+# JPEG halves the resolution of colour: of a small ball lightness knows the outline better. Where it has one, that alone
+# is used, and it has to be nearly whole, for so few pixels often lie on some circle.
+SMALL_PX, SURE = 12.0, 0.85
 ALIKE = 4.0  # neighbouring rays see the same pixels: so many count as one
 
 
@@ -273,7 +297,8 @@ def combined(
     one, other = colour or lightness, lightness or colour
     if one is None or other is None:
         return None
-    if burnt and other.agree >= one.agree:
+    by_lightness = burnt or other.cone.theta_rad * camera.f_px < SMALL_PX
+    if by_lightness and other.agree >= one.agree:
         one = other
     variances = one.sigma_px**2 + COLOUR_PX**2, other.sigma_px**2 + (GAMMA * other.width_px) ** 2
     share = variances[1] / sum(variances)
@@ -284,7 +309,7 @@ def combined(
         axis / np.sqrt((axis * axis).sum()),
         share * radii[0] + (1.0 - share) * radii[1],
         math.hypot(math.sqrt(variances[0] * variances[1] / sum(variances)), 0.5 * apart_px),
-        0.5 * (one.agree + other.agree) if one is not other or burnt else 0.5 * one.agree,
+        0.5 * (one.agree + other.agree) if one is not other or by_lightness else 0.5 * one.agree,
         max(one, other, key=lambda edge: edge.agree).rms_px,
         max(one.width_px, other.width_px),
         visible,
@@ -318,8 +343,8 @@ def _edge(
 
 # --- the closer look, and the score ---
 
-MIN_RADIUS_PX = 5.0  # below, a handful of pixels looks like anything: 0.07 m at f = 1169 px, beyond 16 m
-ROUGH = 0.4  # a spot farther from a circle than that, rms in radii, is none; half a ball behind a stone has 0.2
+MIN_RADIUS_PX = 4.0  # below, a handful of pixels looks like anything: 0.07 m at f = 1169 px, beyond 20 m
+ROUGH = 0.33  # a spot farther from a circle than that, rms in radii, is none; half a ball behind a stone has 0.2
 HALF = 0.6  # of disc and of ring have to be of their own colour for the outline to be looked at
 LARGE_PX = 40.0  # larger ones are judged by the part that nothing hides; of smaller ones there is too little
 NEAR_SPOT = 0.15  # radii
@@ -334,6 +359,8 @@ UNSURE, UNSURE_PX = 0.03, 1.0  # of its radius, and pixels: an outline that is k
 SLACK_RAD = 0.3  # by which the hue may be off while only the spot is known
 # How much doubt each flaw of a candidate is worth; see score().
 MISSING, UNEVEN, STRAY, HIDDEN, DARK, UNREST, SOFT = 2.3, 11.5, 1.3, 2.0, 1.2, 0.85, 15.0
+# Of a small ball a gap in the outline says more, and colour that JPEG has spread less.
+SURER, BLURRED = 1.8, 0.5
 # Radius from which on there is room for a neck, a shadow, a stone; glow covers these, so there they count this much.
 ROOMY_PX, GLOWING = 20.0, 0.6
 PIXEL_PX = 0.2  # scatter of edges that is the pixels' own
@@ -389,7 +416,7 @@ def find_balls(
     model = NAMED[colour] if isinstance(colour, str) else colour
     origin = np.asarray(origin_px, float)
     picture = exposed(image)
-    candidates = (_ball(picture, spot, camera, origin, model, by_lamps) for spot in spots(picture, model.hue_rad))
+    candidates = (_ball(picture, spot, camera, origin, model, by_lamps) for spot in spots(picture, model))
     sure = [ball for ball in candidates if ball is not None and ball.score >= limit]
     balls: list[Ball] = []
     for ball in sorted(sure, key=lambda one: one.score, reverse=True):
@@ -414,13 +441,14 @@ def score(found: Patch, fit: OutlineFit, rare: float = 0.0, by_lamps: bool = Fal
     sharp_px = min(SHARP_PX + SHARP * radius_px, BLUR_PX) * (GLOW if glows else 1.0)
     if by_lamps:
         sharp_px += LIMB * radius_px
+    small = radius_px < SMALL_PX and not by_lamps  # which leave a side of it dark
     doubt = (
-        MISSING * (1.0 - fit.agree) * roomy
+        MISSING * (1.0 - fit.agree) * (SURER if small else roomy)
         + UNEVEN * max(fit.rms_px - PIXEL_PX, 0.0) / radius_px
-        + STRAY * (1.0 - found.clear + 0.5 * (1.0 - found.full))
+        + STRAY * (1.0 - found.clear + 0.5 * (1.0 - found.full)) * (BLURRED if small else 1.0)
         + HIDDEN * max(WHOLE - fit.visible, 0.0) * min(1.0, ARC_PX / arc_px)
         + DARK * max(found.dark - SHADE, 0.0)
-        + UNREST * max(min(found.unrest, 1.0) - CALM, 0.0) * roomy
+        + UNREST * max(min(found.unrest, 1.0) - CALM, 0.0) * (BLURRED if small else roomy)
         + SOFT * max(fit.width_px - sharp_px, 0.0) / min(radius_px, SOFT_PX)
     )
     return math.exp(-max(doubt - rare, 0.0))
@@ -446,17 +474,21 @@ def _ball(
         if seen is None:
             return None
         near = tolerance_px(_radius(cone, camera), last)
-        pair = both_edges(seen, found, picture.dark, origin, camera, near, cone if last else None)
+        lead = cone if last and _radius(cone, camera) >= SMALL_PX else None
+        pair = both_edges(seen, found, picture.dark, origin, camera, near, lead)
         edge = max((one for one in pair if one), key=lambda one: one.agree, default=None)
         if edge is None:
             return None
         cone, width_px = edge.cone, edge.width_px
+        if _radius(cone, camera) < SMALL_PX and edge.agree < SURE and not by_lamps:
+            return None
         rays = (pair[0] or edge).rays if rays is not None else None  # colour leads through what stands in front
     assert seen is not None and found is not None  # the loop has seen to it
     fit = combined(*pair, found.tone.burnt >= BURNT, float(seen.visible.mean()), camera)
     if fit is None or not MIN_RADIUS_PX <= fit.radius_px <= _largest(camera):
         return None
-    if fit.sigma_px > max(UNSURE * fit.radius_px, UNSURE_PX):
+    cut_off = fit.radius_px < SMALL_PX and fit.visible < 1.0
+    if cut_off or fit.sigma_px > max(UNSURE * fit.radius_px, UNSURE_PX):
         return None
     if rays is not None:
         found = patch(picture, outline, centre, fit.rays)

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.ranging.camera_model import UNBEND, CameraFit
-from agent.perception.detection.colour import BURNT, LIGHT, Light, Picture, Tone, hue_and_strength, weights
+from agent.perception.detection.colour import BURNT, LIGHT, Light, Picture, Tone, tone_between, weights
 
 Array = NDArray[np.float64]
 
@@ -295,16 +295,16 @@ def _along(picture: Picture, centre: Array, line: Array, reach: Array) -> tuple[
 
 def _compared(own: Light, around: Light, disc: Pixels, ring: Pixels, burnt: float, picture: Picture) -> Patch:
     """`own`, `around`: logarithms of light (3,); `disc`, `ring`: the pixels."""
-    hue_rad, strength = hue_and_strength(own - around)
-    along = weights(hue_rad)
+    tone = tone_between(own, around, burnt)
+    along = weights(tone.hue_rad)
     inner, outer = picture.log_light[disc] @ along, picture.log_light[ring] @ along
     level = 0.5 * float(np.median(inner) + np.median(outer))
     return Patch(
         ring=np.asarray(np.exp(around) - picture.dark, np.float32),
-        tone=Tone(hue_rad, strength, float(own[2] - 0.5 * (own[0] + own[1])), float(own[2] - own[1]), burnt),
+        tone=tone,
         dark=-float((own - around).max()),
         bright=float((own - around).min()),
         full=float((inner > level).mean()),
         clear=float((outer < level).mean()),
-        unrest=float(inner.std() + outer.std()) / max(strength, 1e-6),
+        unrest=float(inner.std() + outer.std()) / max(tone.strength, 1e-6),
     )

@@ -113,7 +113,7 @@ CLAIM = Claim(
         Figure(f"{change}_{key}", f"{change.replace('-', ' ', 1)}: {words}", "%")
         for change in CHANGES
         for key, words in (
-            ("found", "balls of 10 px radius and more found"),
+            ("found", "balls of 8 px radius and more found"),
             ("false_beside", "pictures with balls in which something else is called one"),
             ("false", "pictures without balls in which something is called one"),
         )

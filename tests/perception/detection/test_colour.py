@@ -11,8 +11,10 @@ from agent.perception.detection.outline_cone import Patch
 from tests.perception.painted import CAMERA, ball_light, expose
 
 
-def tone(hue_deg: float, strength: float, redder: float, burnt: float = 0.0) -> Tone:
-    return Tone(math.radians(hue_deg), strength, redder, redder, burnt)
+def tone(
+    hue_deg: float, strength: float, redder: float, burnt: float = 0.0, left: float = -2.2, green: float = 0.5
+) -> Tone:
+    return Tone(math.radians(hue_deg), strength, redder, redder, burnt, left, green)
 
 
 def test_white_glare_on_blue_water_is_not_red() -> None:
@@ -27,6 +29,20 @@ def test_far_through_water_a_burnt_yellow_and_a_burnt_orange_both_have_less_red(
     near, far = tone(12.0, 2.3, -0.6, burnt=0.7), tone(12.0, 1.5, -0.6, burnt=0.7)
     assert NAMED["yellow"].fits(near, 0.0) and not NAMED["orange"].fits(near, 0.0)
     assert NAMED["orange"].fits(far, 0.0) and not NAMED["yellow"].fits(far, 0.0)
+
+
+def test_a_small_yellow_ball_in_the_sun_is_not_orange() -> None:
+    """Their hues are the same; no red thing has three times the green light of the water around it."""
+    sunlit, orange = tone(10.0, 1.2, -1.2, green=1.3), tone(10.0, 1.2, -1.2, green=0.6)
+    assert NAMED["yellow"].fits(sunlit, 0.0) and not NAMED["orange"].fits(sunlit, 0.0)
+    assert NAMED["orange"].fits(orange, 0.0) and not NAMED["yellow"].fits(orange, 0.0)
+
+
+def test_green_has_red_in_water_that_has() -> None:
+    """A camera that balances white lifts red everywhere: then green is what stands out little."""
+    pale, strong = tone(59.0, 0.6, -0.3, left=-0.6), tone(59.0, 1.4, -0.3, left=-0.6)
+    assert NAMED["green"].fits(pale, 0.0) and not NAMED["green"].fits(strong, 0.0)
+    assert not NAMED["green"].fits(tone(59.0, 0.6, -0.3), 0.0)
 
 
 def test_a_shape_in_doubt_is_believed_sooner_in_a_colour_that_little_else_has() -> None:
