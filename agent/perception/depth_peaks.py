@@ -164,6 +164,8 @@ UNEVEN = 0.1  # of the peak's half width: how far from a plane, or from its cell
 AWAY = 0.25  # the same, of a part's depth from its block's
 STEP_SHARE = 0.4  # of the step between lens positions: no limit is less
 KNOWN = 0.6  # of the cells in and around a part that have a peak, or nothing is known of its surroundings
+BENT = 0.1  # of what the plane spans, by which a slope may be curved; a step is 0.2 and more off its plane
+POOR = 0.5  # of a block's parts: their curves have two peaks, each weaker than one
 OWN_CELLS = 3  # of a part's four that have a peak: one in a corner may be the neighbour's contour
 ANY_CELLS = 5  # around a part: fewer do not speak against it
 AROUND = np.array([(1.0, row - 1.5, col - 1.5) for row in range(4) for col in range(4)])  # 4 x 4 cells: 1, y, x
@@ -204,7 +206,10 @@ def with_edges(blocks: GridPeaks, parts: GridPeaks, cells: GridPeaks, step: floa
     from_block = np.abs(parts.lens_position - each_part(blocks.lens_position, along))
     away = parts.accepted & (from_block > apart_from_block(blocks, parts, step))
     near = near_another(blocks, step)
-    two = any_part(edge_inside | (edge & each_part(near, along)) | (away & each_part(blocks.accepted, along)), along)
+    poor = by_block(parts.reason == Reason.POOR_FIT, along).mean(axis=-1) >= POOR
+    two = poor | any_part(
+        edge_inside | (edge & each_part(near, along)) | (away & each_part(blocks.accepted, along)), along
+    )
     parts = parts.refused(parts.accepted & ~known, Reason.NO_TEXTURE).refused(edge, Reason.TWO_DEPTHS)
     return blocks.refused(two, Reason.TWO_DEPTHS), parts
 
@@ -221,9 +226,10 @@ def near_another(blocks: GridPeaks, step: float) -> NDArray[np.bool_]:
 def on_edge(parts: GridPeaks, around: Array, step: float) -> NDArray[np.bool_]:
     """Parts (rows, cols) whose cells, and those around them (rows, cols, 16), speak of another depth."""
     most = limit(parts, step) + parts.sigma
-    spread, beside = np.abs(off_plane(around)).max(axis=-1), np.abs(middle(around) - parts.lens_position)
+    off, span = off_plane(around)
+    bent, beside = np.abs(off).max(axis=-1) - BENT * span, np.abs(middle(around) - parts.lens_position)
     enough = np.isfinite(around).sum(axis=-1) >= ANY_CELLS
-    return np.asarray(parts.accepted & enough & ((spread > most) | (beside > most)), np.bool_)
+    return np.asarray(parts.accepted & enough & ((bent > most) | (beside > most)), np.bool_)
 
 
 def within_block(around: Array, along: int) -> Array:
@@ -269,13 +275,17 @@ def four_by_four(cells: Array) -> Array:
     return windows.reshape(*windows.shape[:2], 16)
 
 
-def off_plane(around: Array) -> Array:
-    """How far each of 4 x 4 values (..., 16) is from the plane through them, by least squares; 0 for NaN."""
+def off_plane(around: Array) -> tuple[Array, Array]:
+    """How far each of 4 x 4 values (..., 16) is from the plane through them, by least squares; 0 for NaN.
+
+    And how much the plane spans (...), 0 where some are NaN: of few values a step looks like a slope.
+    """
     seen = np.isfinite(around)
     values = np.where(seen, around, 0.0)
     normal = np.einsum("...k,ki,kj->...ij", seen.astype(float), AROUND, AROUND) + 1e-6 * np.eye(3)  # few: still solved
     plane = np.linalg.solve(normal, (values @ AROUND)[..., None])[..., 0]
-    return np.where(seen, values - plane @ AROUND.T, 0.0)
+    span = np.where(seen.all(axis=-1), 3.0 * np.abs(plane[..., 1:]).sum(axis=-1), 0.0)
+    return np.where(seen, values - plane @ AROUND.T, 0.0), span
 
 
 def by_block(parts: NDArray[np.bool_], along: int) -> NDArray[np.bool_]:
