@@ -19,7 +19,6 @@ from agent.cli import diving, experiments, ground, pictures, recordings
 from agent.core.config import ConfigError
 from agent.process.command import Failed, meant
 from agent.process.launch import Leaving, exit_with_parent, leave
-from hw.camera.camera import CameraError
 
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # what writes of a file or a pipe may end with
 
@@ -83,6 +82,13 @@ def usage_error(error: typer.TyperException) -> str:
     return f"aucamp: {said}{f'; see {context.command_path} --help' if context else ''}\n" if said else ""
 
 
+def camera_error() -> type[Exception]:
+    """Asked for by what has failed alone: with it comes numpy, which takes longer than all else that `--help` needs."""
+    from hw.camera.camera import CameraError
+
+    return CameraError
+
+
 def main() -> None:
     """Run the command line; what a user can cause ends in one line on stderr, without a traceback."""
     for number in (signal.SIGTERM, signal.SIGHUP):
@@ -99,7 +105,7 @@ def main() -> None:
         sys.exit(2)
     except typer.Abort:  # a question that nobody answers
         sys.exit("aucamp: the input ended before an answer")
-    except (ConfigError, CameraError) as error:
+    except (ConfigError, camera_error()) as error:
         sys.stderr.write(f"aucamp: {error}\n")
         sys.exit(2)
     except Failed as error:

@@ -71,6 +71,7 @@ from agent.perception.tracking.distractors import (
 HOLD_SHAPE, SURE_SHAPE = 0.40, 0.60  # a turning fish has 0.9 and more from frame to frame, after half a second 0.4
 HOLD_COLOUR = 0.45  # marked boxes: goldfish 0.70 to 1, buoys 0.73 to 1, a neon tetra that turns 0.48; red as yellow: 0
 SURE_COLOUR = 0.75  # of what it was lately: a fish turns slowly, what hides it comes at once
+STRONG_SHAPE, LEAST_COLOUR = 0.75, 0.20
 LATELY = 0.1  # weight of the newest picture in that: a third of a second
 FOUND_LIKE = 0.70  # of a place that is taken for it; with 0.60 a tetra and a buoy that were away were found elsewhere
 # The same where others of its kind are about: of the fish that is away other fish reach 0.8, buoys come back with 0.9.
@@ -158,8 +159,10 @@ class Follower:
         if usable(inside) and self._motion.allows(whole) and share >= LEAST_SHARE:
             like = likeness(appearance, image, whole)
         sure = like.shape >= SURE_SHAPE and like.colour >= SURE_COLOUR * self._colour
-        self._unsure = 0 if sure else self._unsure + 1
-        if like.shape < HOLD_SHAPE or like.colour < HOLD_COLOUR or self._unsure > PATIENCE:
+        strong = like.shape >= STRONG_SHAPE and like.colour >= LEAST_COLOUR
+        self._unsure = 0 if sure else self._unsure + (not strong)
+        weak = like.shape < HOLD_SHAPE or (like.colour < HOLD_COLOUR and not strong)
+        if weak or self._unsure > PATIENCE:
             self._lost, self._others = True, self._beside or None
             if self._pictures:
                 appearance = self._appearance = appearance._replace(newest=_clearest(self._pictures))
