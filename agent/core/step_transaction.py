@@ -1,8 +1,10 @@
 """The step transaction: a step that raises is undone, and the robot goes on without the input that broke it.
 
-A step that raises is tried again without the message that broke it. That message is found by bisection and is not taken
-in again. Where no message is to blame, the inputs of the devices are left out; where that does not help either, the
-robot keeps its last set-point, and after a second of it surfaces. All this is part of the step: replay does the same.
+The state is saved every second, not every step: a step that raises is undone by going back to that savepoint, and
+forward again by the same inputs. Then it is tried without the message that broke it. That message is found by bisection
+and is not taken in again. Where no message is to blame, the inputs of the devices are left out; where that does not
+help either, the robot keeps its last set-point, and after a second of it surfaces. All this is part of the step: replay
+does the same.
 """
 
 from __future__ import annotations
@@ -25,6 +27,7 @@ Word = Heard | Ordered  # what others said
 REMEMBERED = 64  # payloads that broke a step
 GUILTY = 4  # messages of one step that can be found, at most; then all that it heard is left out
 DEGRADED_NS = 10_000_000_000  # how long a broken step stays a fault
+SAVE_EVERY = 20  # steps: a copy of the state takes as long as half a step, and is hardly ever needed
 SURFACE_AFTER = 20  # broken steps in a row: a second
 SURFACE_M = 0.08  # where surfacing ends: a hull that is lifted out would plunge when the motors stop
 
@@ -45,6 +48,8 @@ class StepTransaction:
         self._set_point: SetPoint | None = None  # of the newest sound step
         self._in_a_row = 0
         self._keys: dict[str, bytes] | UnsetType = UNSET  # that came in a step without effect
+        self._saved: Savepoint | None = None  # of the state some sound steps ago
+        self._since: list[tuple[Inputs, int]] = []  # what these steps were given
 
     def fault(self, now_ns: int) -> str | None:
         """What broke of late; None when all is well."""
@@ -64,17 +69,34 @@ class StepTransaction:
         self._keys = UNSET
         if self._refused:
             inputs = only(inputs, tuple(word for word in words(inputs) if digest(word) not in self._refused))
-        before = Savepoint(state)
+        saved = self._saved
+        if saved is None or len(self._since) >= SAVE_EVERY:
+            saved = self._saved = Savepoint(state)
+            self._since = []
         outputs: Outputs | None
         try:
             outputs = work(inputs, now_ns)
+            self._since.append((inputs, now_ns))
+            if inputs.orders is not UNSET:  # what they set off at once is taken after the step: never set it off again
+                self._saved = None
         except Exception as error:  # noqa: BLE001 - whatever it is, the robot has to go on
-            before.restore()
+            before = self._undo(saved, state, work)
             outputs = self._without_it(before, work, inputs, now_ns, error)
+            self._saved = None
         if outputs is None:
             return self._hold(inputs)
         self._in_a_row, self._set_point = 0, outputs.set_point
         return outputs
+
+    def _undo(self, saved: Savepoint, state: Revertible, work: Work) -> Savepoint:
+        """The state before the step that raised: the same inputs as since the savepoint, of which none had raised."""
+        saved.restore()
+        try:
+            for inputs, now_ns in self._since:
+                work(inputs, now_ns)
+        except Exception:  # noqa: BLE001 - the kernel breaks now by what it did before: go on from the savepoint
+            saved.restore()
+        return Savepoint(state)
 
     def _without_it(
         self, before: Savepoint, work: Work, inputs: Inputs, now_ns: int, error: Exception

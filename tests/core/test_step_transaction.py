@@ -8,8 +8,10 @@ from msgspec.structs import replace
 from agent.core.codec import encode
 from agent.core.messages import State
 from agent.core.step_io import Heard, Inputs
-from agent.core.step_transaction import SURFACE_AFTER, SURFACE_M, Savepoint
+from agent.core.step_transaction import SAVE_EVERY, SURFACE_AFTER, SURFACE_M, Savepoint
+from agent.robot.inbox import Inbox
 from agent.robot.step import Agent
+from agent.robot.targets import Targets
 from tests.core.swarm_on_hand import Swarm
 
 POISON = b"poison"
@@ -25,16 +27,16 @@ def swarm(request) -> Swarm:
 
 def poisoned(agent: Agent, monkeypatch: pytest.MonkeyPatch, payload: bytes = POISON) -> None:
     """A kernel with a fault: one payload breaks it, after it has changed things."""
-    take = agent.inbox._take
+    take = Inbox._take
 
-    def broken(item, status, now_ns) -> None:
-        if item.payload == payload:
+    def broken(inbox, item, status, now_ns) -> None:
+        if inbox is agent.inbox and item.payload == payload:
             agent.inbox.refused["half done"] = 1
             agent.measuring.current.estimator.t += 1000
             raise KeyError("r9")
-        take(item, status, now_ns)
+        take(inbox, item, status, now_ns)
 
-    monkeypatch.setattr(agent.inbox, "_take", broken)
+    monkeypatch.setattr(Inbox, "_take", broken)  # of an object it would be undone with the step
 
 
 def heard(src: str, payload: bytes, now_ns: int) -> Heard:
@@ -75,7 +77,7 @@ def test_a_payload_that_broke_a_step_is_not_taken_in_again(swarm, monkeypatch) -
     poisoned(agent, monkeypatch)
     agent.step(Inputs(heard=(heard("r2", POISON, swarm.now_ns),)), swarm.now_ns + 1)
     taken: list[bytes] = []
-    monkeypatch.setattr(agent.inbox, "_take", lambda item, status, now_ns: taken.append(item.payload))
+    monkeypatch.setattr(Inbox, "_take", lambda inbox, item, status, now_ns: taken.append(item.payload))
     agent.step(Inputs(heard=(heard("r3", POISON, swarm.now_ns), heard("r3", b"other", swarm.now_ns))), swarm.now_ns + 2)
     assert taken == [b"other"]
 
@@ -87,7 +89,7 @@ def test_a_kernel_that_breaks_whatever_it_is_told_holds_its_depth_then_goes_up(s
     def broken(*about: object) -> None:
         raise RecursionError
 
-    monkeypatch.setattr(agent.measuring, "iterate", broken)
+    monkeypatch.setattr(Targets, "iterate", broken)
     depths, states = [], []
     for k in range(2 * SURFACE_AFTER):
         outputs = agent.step(Inputs(), now_ns + 2 + k * 50_000_000)
@@ -105,12 +107,12 @@ def test_a_kernel_that_breaks_whatever_it_is_told_holds_its_depth_then_goes_up(s
 def test_keys_told_in_a_step_that_came_to_nothing_are_told_again(swarm, monkeypatch) -> None:
     agent, now_ns = swarm.agents["r1"], swarm.now_ns
     keys = {"r2": bytes(32)}
-    monkeypatch.setattr(agent.measuring, "iterate", lambda *about: 1 / 0)
+    monkeypatch.setattr(Targets, "iterate", lambda *about: 1 / 0)
     agent.step(Inputs(keys=keys), now_ns + 1)
     monkeypatch.undo()
     told: list[dict] = []
     for target in agent.targets.values():
-        monkeypatch.setattr(target.estimator, "trust", told.append)
+        monkeypatch.setattr(type(target.estimator), "trust", lambda estimator, keys: told.append(keys))
     agent.step(Inputs(), now_ns + 2)
     agent.step(Inputs(), now_ns + 3)
     assert told == [keys]
@@ -125,3 +127,16 @@ def test_the_same_breaks_give_the_same_bytes(swarm, monkeypatch) -> None:
         inputs = Inputs(heard=(heard("r2", POISON if k % 3 else b"x", now_ns + k),))
         ours, theirs = (each.step(replace(inputs), now_ns + k * 50_000_000 + 1) for each in (agent, twin))
         assert encode(ours) == encode(theirs)
+
+
+def test_a_step_that_breaks_long_after_the_savepoint_is_undone_alone(swarm, monkeypatch) -> None:
+    """What it knew before the step it knows again, by the inputs since the savepoint; orders are not set off again."""
+    agent, twin = swarm.agents["r1"], pickle.loads(pickle.dumps(swarm.agents["r1"]))
+    poisoned(agent, monkeypatch)
+    for k in range(3 * SAVE_EVERY):
+        now_ns = swarm.now_ns + k * 50_000_000 + 1
+        word = heard("r2", POISON, now_ns - 1)
+        ours = agent.step(Inputs(heard=(word,) if k == SAVE_EVERY + 7 else ()), now_ns)
+        theirs = twin.step(Inputs(), now_ns)
+        assert ours.says == theirs.says and ours.set_point == theirs.set_point
+    assert agent.measuring.current.estimator.t == twin.measuring.current.estimator.t

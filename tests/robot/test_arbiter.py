@@ -13,6 +13,7 @@ from agent.core.step_io import Inputs, Ordered
 from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, draw_scene, fleet_of
 from agent.robot.arbiter import PRIORITIES, table
 from agent.robot.step import Agent
+from agent.robot.targets import Targets
 from tests.capabilities.light.dark_fish import DarkFish
 from tests.capabilities.light.dark_survey import DarkSurvey
 from tests.capabilities.swim.swimming_agent import InTank, fleet
@@ -141,6 +142,6 @@ def test_who_has_what_goes_back_with_a_step_that_breaks(monkeypatch) -> None:
     one = InTank(replace(fleet()))
     one.run(2.0)
     held = dict(one.agent.arbiter.held)
-    monkeypatch.setattr(one.agent.measuring, "say", lambda *about: 1 / 0)
+    monkeypatch.setattr(Targets, "say", lambda *about: 1 / 0)
     one.step()
     assert one.agent.transaction.holds and one.agent.arbiter.held == held
