@@ -70,8 +70,10 @@ from agent.perception.tracking.distractors import (
 # Chosen on clips made of goldfish_turns and of seven buoys (tests/perception/tracking/loss_clips.py, tuned).
 HOLD_SHAPE, SURE_SHAPE = 0.40, 0.60  # a turning fish has 0.9 and more from frame to frame, after half a second 0.4
 HOLD_COLOUR = 0.45  # marked boxes: goldfish 0.70 to 1, buoys 0.73 to 1, a neon tetra that turns 0.48; red as yellow: 0
-SURE_COLOUR = 0.75  # of what it was lately: a fish turns slowly, what hides it comes at once
+# A shape as strong as that is held with few of the colours: those of a plain fish fade into grey water as it turns. It
+# is not certain, so that nothing is learnt from it.
 STRONG_SHAPE, LEAST_COLOUR = 0.75, 0.20
+SURE_COLOUR = 0.75  # of what it was lately: a fish turns slowly, what hides it comes at once
 LATELY = 0.1  # weight of the newest picture in that: a third of a second
 FOUND_LIKE = 0.70  # of a place that is taken for it; with 0.60 a tetra and a buoy that were away were found elsewhere
 # The same where others of its kind are about: of the fish that is away other fish reach 0.8, buoys come back with 0.9.

@@ -48,9 +48,20 @@ def test_what_would_not_be_held_is_not_found(seen):
     for colour in np.linspace(1.0, 0.46, 60):
         seen["held"] = Likeness(0.95, float(colour))
         assert state(follower) == "followed"
-    faded = Likeness(0.95, follow.HOLD_COLOUR - 0.02)
+    faded = Likeness(follow.STRONG_SHAPE - 0.01, follow.HOLD_COLOUR - 0.02)
     seen["held"], seen["places"] = faded, [Place(HERE, faded)]
     assert [state(follower) for _ in range(3)] == ["lost"] * 3
+
+
+def test_a_strong_shape_is_held_while_its_colours_fade(seen):
+    """A plain dark fish on grey water has hardly any colour of its own; without all of it, it is another thing."""
+    follower = follow.Follower(Standing())
+    follower.start(IMAGE, HERE)
+    seen["held"] = Likeness(follow.STRONG_SHAPE, follow.LEAST_COLOUR)
+    assert [state(follower) for _ in range(3 * follow.PATIENCE)] == ["followed"] * 3 * follow.PATIENCE
+    gone = Likeness(follow.STRONG_SHAPE, follow.LEAST_COLOUR - 0.02)
+    seen["held"], seen["places"] = gone, [Place(HERE, gone)]
+    assert state(follower) == "lost"
 
 
 @pytest.mark.parametrize(("company", "like", "then"), [
