@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv run test firmware fuzz lint format clean
+.PHONY: venv run test firmware docs fuzz lint format clean
 
 venv: .venv/ready
 run: .venv/ready
@@ -15,6 +15,10 @@ test: .venv/ready-test lint
 # The files that are copied to a board (hw/README.md, "Flash it").
 firmware: .venv/ready-test
 	$(BIN)/python -m hw.board_files build/firmware
+
+# The pages as a site, build/site; a link or an anchor that leads nowhere is an error.
+docs: .venv/ready-docs
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict
 
 # Hostile bytes into whatever takes bytes from outside, until Ctrl-C or for so long. A seed: make fuzz FUZZ="--seed 7".
 FUZZ_SECONDS ?= 600
@@ -43,6 +47,10 @@ format: .venv/ready-test
 .venv/ready-test: .venv/bin/python pyproject.toml constraints.txt
 	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --editable '.[test,enhance]'
 	touch .venv/ready $@
+
+.venv/ready-docs: .venv/bin/python pyproject.toml constraints.txt
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --editable '.[docs]'
+	touch $@
 
 clean:
 	rm -rf .venv runs build

@@ -3,12 +3,14 @@
 import re
 from enum import EnumType
 from pathlib import Path
-from typing import get_args
+from typing import Any, get_args
 
 import pytest
+import yaml
 from typer.main import get_command
 
 from agent.__main__ import app
+from docs import site_hook
 from tests.places import ROOT
 
 PAGES = sorted(
@@ -97,7 +99,7 @@ def test_links_lead_somewhere(page: Path) -> None:
 def anchors(page: Path) -> set[str]:
     """Of each heading, as sites that show Markdown make them."""
     headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
-    return {re.sub(r"[^\w\- ]", "", heading.lower()).replace(" ", "-") for heading in headings}
+    return {site_hook.slug(heading) for heading in headings}
 
 
 def test_every_verb_and_each_of_its_kinds_is_in_a_document() -> None:
@@ -110,3 +112,41 @@ def test_every_verb_and_each_of_its_kinds_is_in_a_document() -> None:
     wanted |= {(*name, kind) for name in wanted for kind in kinds(COMMANDS[name])}
     assert {("calibrate", "gamma"), ("experiment", "peak-shift"), ("bridge", "ros2")} < wanted
     assert not wanted - told
+
+
+def test_the_site_names_every_page_once_and_no_other() -> None:
+    """Of mkdocs.yml. A page outside docs/ stands under its own path, as docs/site_hook.py has it."""
+    site = yaml.safe_load((ROOT / "mkdocs.yml").read_text(encoding="utf-8"))
+    docs = [page.relative_to(ROOT / "docs").as_posix() for page in ROOT.glob("docs/**/*.md")]
+    assert sorted(named_pages(site["nav"])) == sorted([*docs, *site_hook.OUTSIDE])
+    assert all((ROOT / page).is_file() for page in site_hook.OUTSIDE)
+
+
+def named_pages(entry: Any) -> list[str]:
+    """Of a part of a navigation: a page, a title with a page or a part, or a list of these."""
+    if isinstance(entry, str):
+        return [entry]
+    parts = entry.values() if isinstance(entry, dict) else entry
+    return [page for part in parts for page in named_pages(part)]
+
+
+@pytest.mark.parametrize(
+    ("page", "link", "led"),
+    [
+        ("operate.md", "../hw/README.md#parts", "hw/README.md#parts"),
+        ("hw/README.md", "../docs/calibrate.md", "../calibrate.md"),
+        ("research/claims.md", "../twin.md", "../twin.md"),
+        ("research/claims.md", "results", "results/index.md"),
+        ("CONTRIBUTING.md", "docs/clock.md", "clock.md"),
+        ("keys.md", "#measured", "#measured"),
+        ("keys.md", "https://mcap.dev", "https://mcap.dev"),
+    ],
+)
+def test_links_are_led_to_where_pages_lie_on_the_site(page: str, link: str, led: str) -> None:
+    assert site_hook.relinked(f"[there]({link})", page) == f"[there]({led})"
+
+
+def test_markdown_is_respelled_for_the_site() -> None:
+    text = "Words:\n* one\n\n1. two\n\n   ```python a.py\n   x = 1\n   ```\n\n| `a\\|b` |\n"
+    there = 'Words:\n\n* one\n\n1. two\n\n    ```python title="a.py"\n    x = 1\n    ```\n\n| `a|b` |\n'
+    assert site_hook.respelled(text) == there

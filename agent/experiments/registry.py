@@ -93,12 +93,7 @@ CLAIMS: dict[str, Entry] = {
 # Claim and figure, for the README.
 HEADLINES = (
     ("demo", "tank_error_percent"),
-    ("demo", "tank_from_iteration"),
     ("demo", "loss30_error_percent"),
-    ("localization", "evidence_ratio_200"),
-    ("manoeuvres", "hold_rms_mm"),
-    ("orientation", "observer_push_p95_s"),
-    ("board", "worst_ms"),
 )
 
 
