@@ -147,8 +147,8 @@ LEAST_S = 30.0  # less is no following
 # What the verdict asks: shares of the time in which one robot at least, and each of them sees it; then the track.
 ONE_SEES, EACH_SEES = 0.95, 0.5
 LENGTH_M = 0.15  # of a creature of which nobody says how long it is
-# Of three axes: 3 where errors are as large as robots say, less where they are smaller. Errors of a second are alike, so
-# that a dive holds some forty; the mean of so many is above 4 in one of two hundred dives of robots that are right.
+# Of three axes: 3 where errors are as large as robots say, less where they are smaller. Errors of a second are alike:
+# a dive holds some forty, whose mean is above 4 in one of two hundred dives of robots that are right.
 MOST_NEES = 4.0
 BARS: dict[str, tuple[float | None, float | None]] = {  # least and most
     "seen_by_one": (0.99, None),
