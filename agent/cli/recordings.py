@@ -146,21 +146,24 @@ export_app = typer.Typer()
 )
 def export_command(
     kind: Annotated[
-        Literal["csv", "mp4", "jsonl"],
-        typer.Argument(help="Tables of each robot; what one robot's camera saw; each message as a line."),
+        Literal["csv", "mp4", "webp", "jsonl"],
+        typer.Argument(
+            help="Tables of each robot; what one robot's camera saw; a dive in twelve seconds; each message as a line."
+        ),
     ],
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording (MCAP).")],
-    out: Annotated[Path, typer.Option(help="New folder for csv, new file for mp4 and jsonl.")],
+    out: Annotated[Path, typer.Option(help="New folder for csv, else a new file.")],
     robot: Annotated[str | None, typer.Option(help="Only this robot.")] = None,
     channel: Annotated[list[str] | None, typer.Option(help="jsonl: only this channel; again for more.")] = None,
 ) -> None:
-    """A recording for other programs: tables, a film, or lines of JSON."""
-    from replay.export import write_film, write_lines, write_tables
+    """A recording for other programs: tables, a film, a clip, or lines of JSON."""
+    from replay.export import write_lines, write_tables
     from replay.files.recover import auto_recovered
 
-    refuse_options(f"export {kind}", {"--channel": channel or None}, ("--channel",) if kind == "jsonl" else ())
-    if kind == "mp4" and out.suffix != ".mp4":
-        raise ConfigError(f"--out {out}: a film's name ends in .mp4")
+    takes = {"jsonl": ("--channel", "--robot"), "webp": ()}.get(kind, ("--robot",))
+    refuse_options(f"export {kind}", {"--channel": channel or None, "--robot": robot}, takes)
+    if kind in ("mp4", "webp") and out.suffix != f".{kind}":
+        raise ConfigError(f"--out {out}: a film's name ends in .{kind}")
     if kind != "csv":
         new_file(out)
     elif out.exists():
@@ -169,8 +172,11 @@ def export_command(
     if kind == "csv":
         files = write_tables(there, out, robot)
         said = f"{len(files)} tables written to {out}"
-    elif kind == "mp4":
-        said = f"{write_film(there, out, robot)} frames written to {out}"
+    elif kind in ("mp4", "webp"):
+        from replay.film import write_clip, write_film
+
+        frames = write_film(there, out, robot) if kind == "mp4" else write_clip(there, out)
+        said = f"{frames} frames written to {out}"
     else:
         said = f"{write_lines(there, out, robot, channel or [])} lines written to {out}"
     terminal().print(said, markup=False, highlight=False)

@@ -24,8 +24,7 @@ from agent.core.estimation.interface import Bearing, Posterior, Prior
 from agent.core.messages import Message, Vector
 from agent.core.ranging.camera_model import Calibration, Eye, camera_pose
 from agent.core.ranging.fix import Fix, Outline, OwnPose
-from agent.core.ranging.pointing import APPROACH_NS, LAG_NS
-from agent.core.ranging.search_pattern import SearchPlan
+from agent.core.ranging.pointing import APPROACH_NS, LAG_NS, SearchPlan
 from agent.core.ranging.sweep import ByLight, Measurement
 from agent.core.status import Logbook
 from agent.core.step_io import Heard, Inputs, Sighting, SweepOutcome, SweepPlan

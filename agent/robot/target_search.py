@@ -24,8 +24,7 @@ from agent.core.ranging.camera_model import (
     sweep_waits_ns,
     to_world,
 )
-from agent.core.ranging.pointing import Pointing, Search, off_centre_px, reachable
-from agent.core.ranging.search_pattern import SearchPattern, SearchPlan
+from agent.core.ranging.pointing import Pointing, Search, SearchPattern, SearchPlan, off_centre_px, reachable
 from agent.core.ranging.sweep import (
     SLACK_NS,
     ByLight,

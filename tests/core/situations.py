@@ -7,7 +7,7 @@ from agent.core.capability import LightView, Situation, TargetView
 from agent.core.config import Pose
 from agent.core.estimation.interface import Posterior
 from agent.core.messages import Vector
-from agent.core.ranging.search_pattern import SearchPlan
+from agent.core.ranging.pointing import SearchPlan
 from agent.robot.target_search import TargetSearch
 
 LEVEL = Attitude(0.3, 0.0, 0.0)

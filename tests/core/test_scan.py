@@ -4,7 +4,7 @@ import numpy as np
 
 from agent.capabilities.swim.pursuit import SWIFTEST_DEG_S, Scan
 from agent.core.config import Body
-from agent.core.ranging.search_pattern import rows_deg
+from agent.core.ranging.pointing import rows_deg
 from tests.known_lens import CAMERA
 
 BODY, STEP_NS, START_NS = Body(), 50_000_000, 10**18

@@ -5,7 +5,7 @@ import pytest
 
 from agent.core.capability import CameraAct, LightView
 from agent.core.config import Body
-from agent.core.ranging.search_pattern import FRAMES, SearchPattern, SearchPlan, all_around, spiral, view_deg
+from agent.core.ranging.pointing import FRAMES, SearchPattern, SearchPlan, all_around, spiral, view_deg
 from agent.core.step_io import Sighting
 from agent.robot.target_search import TargetSearch
 from tests.capabilities.swim.swimming_agent import CALIBRATION, CAMERA, fleet

@@ -30,10 +30,11 @@ from agent.process.command import Failed
 from replay.check.check import check, text, update_recordings
 from replay.check.explain import explain
 from replay.check.vision_check import check_vision
-from replay.export import write_film, write_lines, write_tables
+from replay.export import write_lines, write_tables
 from replay.files.info import info, suspecting
 from replay.files.log import read
 from replay.files.recover import auto_recovered, recover_all
+from replay.film import write_film
 from replay.report.report import report
 from replay.report.timeline import open_run
 from replay.story import info_all

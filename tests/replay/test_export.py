@@ -13,10 +13,11 @@ from agent.core.codec import decode
 from agent.core.config import ConfigError
 from agent.core.step_io import Inputs, Outputs, Sighting
 from replay.check.reexecute import open_box
-from replay.export import FPS, lines, recordings_of, write_film, write_lines, write_tables
+from replay.export import lines, recordings_of, write_lines, write_tables
 from replay.files.channels import VISION
 from replay.files.info import info
 from replay.files.log import read
+from replay.film import CLIP_FPS, CLIP_S, FPS, write_clip, write_film
 from tests.places import GOLDEN
 from tests.replay.overheard_run import overheard_run
 from tests.replay.small_box import STEPS, write_box
@@ -108,6 +109,17 @@ def test_a_film_lasts_as_long_as_the_dive_and_shows_the_outline(tmp_path: Path, 
     if today:
         blue, green, red = frames[count // 2][240, 410].astype(int)  # on the disc's rim
         assert green > max(blue, red) + 30
+
+
+def test_a_clip_shows_the_tank_and_what_the_cameras_saw(tmp_path: Path) -> None:
+    count = write_clip(GOLDEN / "seen", tmp_path / "dive.webp")
+    assert count == CLIP_S * CLIP_FPS
+    there, clip = cv2.imreadanimation(str(tmp_path / "dive.webp"))
+    assert there and sum(clip.durations) == 1e3 * CLIP_S
+    first, last = (clip.frames[k][..., :3].astype(int) for k in (0, -1))
+    assert (abs(last - first)[:, :480] > 40).any() and (abs(last - first)[:, 504:] > 40).any()
+    with pytest.raises(ConfigError, match="has no black box"):
+        write_clip(overheard_run(GOLDEN / "outage", tmp_path / "fleet.mcap"), tmp_path / "none.webp")
 
 
 def test_a_torn_recording_is_mended_first_and_nothing_is_overwritten(tmp_path: Path) -> None:

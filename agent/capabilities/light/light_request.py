@@ -112,7 +112,7 @@ def glimpsed_m(fleet: Fleet, camera: CameraFit, far_m: float | None, situation: 
 # names there would show a target to this camera, and the own lamp would not. Whoever knows no more looks there as
 # well, while it is lit.
 #
-# A robot that swims in search of a target asks for none (search_pattern.py): it comes near what its own lamp shows,
+# A robot that swims in search of a target asks for none (pointing.py): it comes near what its own lamp shows,
 # and lent light, for which all hold still, found neither balls nor fish sooner (docs/night.md).
 
 # From the camera. A lamp that shines on a place from 1.3 m away and 45 degrees aside lights the camera's axis from

@@ -23,8 +23,7 @@ from agent.core.estimation.track import Dynamics, growth
 from agent.core.messages import Symmetric, Vector
 from agent.core.ranging.camera_model import Calibration, CameraFit, camera_pose, look_at
 from agent.core.ranging.fix import NEAREST_M, Outline, sight_line
-from agent.core.ranging.pointing import SERVO_LAG_S
-from agent.core.ranging.search_pattern import rows_deg
+from agent.core.ranging.pointing import SERVO_LAG_S, rows_deg
 from agent.core.step_io import Sighting
 from agent.core.step_transaction import Revertible
 

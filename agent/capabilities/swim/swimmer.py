@@ -53,7 +53,7 @@ from agent.core.estimation.protocols import dynamics, pursued
 from agent.core.linear_algebra import wrap
 from agent.core.messages import Presence, Vector
 from agent.core.ranging.camera_model import Calibration
-from agent.core.ranging.search_pattern import SearchPlan, all_around, spiral
+from agent.core.ranging.pointing import SearchPlan, all_around, spiral
 from agent.core.step_io import Flow, SeenTags, Telemetry
 from agent.core.step_transaction import SURFACE_M, Revertible
 from agent.core.target_state import TargetEstimate

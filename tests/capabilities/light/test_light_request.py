@@ -21,8 +21,7 @@ from agent.core.attitude import Attitude
 from agent.core.capability import LightView, Situation
 from agent.core.capability_messages import Lease
 from agent.core.config import Target
-from agent.core.ranging.pointing import SEARCH_DEG
-from agent.core.ranging.search_pattern import SearchPlan
+from agent.core.ranging.pointing import SEARCH_DEG, SearchPlan
 from agent.core.step_io import Sighting
 from agent.robot.target_search import TargetSearch
 from tests.capabilities.light.lit_swarm import STEP_NS, LitScript, LitSwarm, lit_fleet
