@@ -50,11 +50,14 @@ def track(
     rate: Annotated[
         float | None, typer.Option(min=0.1, help="Pictures a second, for --truth; the video's own, or 30.")
     ] = None,
+    keep: Annotated[
+        bool, typer.Option("--keep/--strict", help="Rather follow what it is no longer than call lost what is there.")
+    ] = False,
 ) -> None:
     """Follow what is in a box; a line per picture says where it is, how sure, and whether it is lost."""
     from agent.tools.track import Asked, run
 
-    raise typer.Exit(0 if run(source, Asked(box, nanotrack, frames, out, truth, rate), typer.echo) else 1)
+    raise typer.Exit(0 if run(source, Asked(box, nanotrack, frames, out, truth, rate, keep), typer.echo) else 1)
 
 
 @app.command("tags", epilog="Example: aucamp tags photographs/ --calibration calibration/r1.toml --out seen")

@@ -4,13 +4,15 @@ import json
 import sys
 
 import cv2
+import numpy as np
 import pytest
 
 from agent.__main__ import main
 from agent.core.config import ConfigError
-from agent.perception.tracking.appearance import Box
-from agent.perception.tracking.follow import Followed, model_files
-from agent.tools.track import HEADER, Asked, Truth, check_rows, parse_box, read_truth, run, score
+from agent.perception.tracking import follow
+from agent.perception.tracking.appearance import Box, Likeness
+from agent.perception.tracking.follow import LIMITS, Followed, Follower, load_box_tracker, model_files
+from agent.tools.track import HEADER, Asked, Truth, annotated, check_rows, parse_box, read_truth, run, score
 from tests.perception.tracking.swimming import clip, overlap
 from tests.places import DATA
 
@@ -160,7 +162,28 @@ def test_figures_of_a_folder(tmp_path, capsys):
     found = json.loads((tmp_path / "out" / "result.json").read_text())
     assert set(found) >= KEYS and found["frames"] == 3 and found["on_target"] == 3 and found["mean_iou"] > 0.7
     assert found["absent"] == 0 and found["in_grace"] == 2
-    assert "written to" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert "--strict" in told and "--keep" in told and "written to" in told
+
+
+def test_what_keeps_does_not_let_go_of_what_fades(monkeypatch):
+    """Half of the colours that it showed lately, and of a middling shape: certain for the one, not for the other."""
+    frames = list(clip(4))
+    monkeypatch.setattr(follow, "likeness", lambda *about: Likeness(0.62, 0.55))
+    states = {}
+    for name, limits in LIMITS.items():
+        follower = Follower(load_box_tracker(None), limits)
+        follower.start(frames[0][0], Box(*frames[0][1]))
+        states[name] = {follower.look(frames[0][0]).state for _ in range(3 * limits.patience)}
+    assert states["keep"] == {"followed"} < states["strict"]
+
+
+def test_where_it_may_be_is_drawn_while_it_is_lost():
+    """A ring that grows; no box, which would say that it is there."""
+    image, box = np.zeros((200, 200, 3), np.uint8), Box(80, 80, 40, 40)
+    rings = [annotated(image, Followed(box, 0.0, "lost", reach_px)) for reach_px in (35.0, 60.0)]
+    for ring, reach_px in zip(rings, (35, 60), strict=True):
+        assert ring[95:105, 100 + reach_px].any() and not ring[80, 80:120].any()
 
 
 TRACK_TRUTH_MISTAKES = {

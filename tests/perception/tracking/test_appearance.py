@@ -48,7 +48,7 @@ def test_what_would_not_be_held_is_not_found(seen):
     for colour in np.linspace(1.0, 0.46, 60):
         seen["held"] = Likeness(0.95, float(colour))
         assert state(follower) == "followed"
-    faded = Likeness(follow.STRONG_SHAPE - 0.01, follow.HOLD_COLOUR - 0.02)
+    faded = Likeness(follow.STRONG_SHAPE - 0.01, follow.STRICT.hold_colour - 0.02)
     seen["held"], seen["places"] = faded, [Place(HERE, faded)]
     assert [state(follower) for _ in range(3)] == ["lost"] * 3
 
@@ -58,7 +58,7 @@ def test_a_strong_shape_is_held_while_its_colours_fade(seen):
     follower = follow.Follower(Standing())
     follower.start(IMAGE, HERE)
     seen["held"] = Likeness(follow.STRONG_SHAPE, follow.LEAST_COLOUR)
-    assert [state(follower) for _ in range(3 * follow.PATIENCE)] == ["followed"] * 3 * follow.PATIENCE
+    assert [state(follower) for _ in range(3 * follow.STRICT.patience)] == ["followed"] * 3 * follow.STRICT.patience
     gone = Likeness(follow.STRONG_SHAPE, follow.LEAST_COLOUR - 0.02)
     seen["held"], seen["places"] = gone, [Place(HERE, gone)]
     assert state(follower) == "lost"
