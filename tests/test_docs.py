@@ -137,7 +137,7 @@ def named_pages(entry: Any) -> list[str]:
         ("hw/README.md", "../docs/calibrate.md", "../calibrate.md"),
         ("research/claims.md", "../twin.md", "../twin.md"),
         ("research/claims.md", "results", "results/index.md"),
-        ("CONTRIBUTING.md", "docs/clock.md", "clock.md"),
+        ("CONTRIBUTING.md", "docs/twin.md", "twin.md"),
         ("keys.md", "#measured", "#measured"),
         ("keys.md", "https://mcap.dev", "https://mcap.dev"),
     ],

@@ -11,21 +11,13 @@ from agent.core.config import Follow
 from agent.core.messages import Order
 from agent.core.step_io import Inputs, Ordered
 from agent.experiments.reconstruction.coverage import SIZE_M, SURFACE_M, World, draw_scene, fleet_of
-from agent.robot.arbiter import PRIORITIES, table
+from agent.robot.arbiter import PRIORITIES
 from agent.robot.step import Agent
 from agent.robot.targets import Targets
 from tests.capabilities.light.dark_fish import DarkFish
 from tests.capabilities.light.dark_survey import DarkSurvey
 from tests.capabilities.swim.swimming_agent import InTank, fleet
-from tests.places import ROOT
 from tests.robot.ordering import Ordering
-
-PAGE = ROOT / "docs" / "architecture.md"
-
-
-def test_the_page_has_the_table() -> None:
-    rows = "\n".join("| " + " | ".join(row) + " |" for row in table())
-    assert rows in PAGE.read_text()
 
 
 def test_a_row_is_named_once_and_the_last_of_each_resource_is_always_asked() -> None:

@@ -103,7 +103,7 @@ def test_a_snapshot(secured: Secured, state: Callable[..., State]) -> None:
 
 
 def zenoh(folder: Path, where: str, *options: str) -> subprocess.Popen[bytes]:
-    """The program as docs/look-at-the-traffic.md has it; it prints into `folder`/printed."""
+    """The program as docs/page.md has it; it prints into `folder`/printed."""
     install_entry_points(folder / "site")
     command = [str(Path(sys.executable).with_name("zenoh")), "--mode", "client", *options, "--connect", where]
     command += ["subscribe", "-k", "aucamp/**", "--decoder", "aucamp", "--line", "{key} {value}"]
