@@ -299,6 +299,7 @@ class StaticTarget(Revertible):
         self._ledgers: dict[str, DeliveryLedger[Key]] = {name: DeliveryLedger() for name in me.neighbours}
         self._change = 0
         self._news_ns: dict[str, int] = {}  # when each origin was last known to have measured
+        self._cleaned = 0  # removals from the table that the ledgers know of
         self._let_go: dict[Key, int] = {}  # until when neighbours are told so
         self.outlived: int | None = None  # an incarnation of ours that is newer than the one we write under
         self._by_others: tuple[int, Posterior | None] = (0, None)  # and at which change of the table; None at first
@@ -381,18 +382,22 @@ class StaticTarget(Revertible):
         self._ledgers[src].forget()
 
     def say(self, to: str, now_ns: int) -> Gossip:
-        entries, ledger = self._table.entries, self._ledgers[to]
-        versions = {key: entry.count for key, entry in entries.items()}
+        entries, marks, ledger = self._table.entries, self._table.marks, self._ledgers[to]
+        if self._cleaned != self._table.removed:
+            self._cleaned = self._table.removed
+            for each in self._ledgers.values():
+                each.drop(entries)
         # Without signatures no robot is told what it measured itself.
-        owed = versions if self._me.authority.keys is not None else {k: n for k, n in versions.items() if k[0] != to}
-        ledger.drop(entries)
+        untold = None if self._me.authority.keys is not None else to
+        owed = {key: entry.count for key, entry in entries.items() if key[0] != untold}
         chosen = ledger.pending(owed, self._me.key, self._me.max_entries)
         self._let_go = {key: until_ns for key, until_ns in self._let_go.items() if until_ns > now_ns}
-        lines = [Holding(*key, version, self._table.marks[key]) for key, version in versions.items()]
-        lines += [Holding(*key, 0) for key in self._let_go if key not in entries]
-        return Gossip(
-            self._epoch, entries=tuple(entries[k] for k in chosen), digest=ledger.digest(lines, self._change, now_ns)
+        keys = [*entries, *(key for key in self._let_go if key not in entries)]
+        shown = keys[ledger.due(len(keys), self._change, now_ns)]
+        digest = (
+            Holding(*key, entries[key].count, marks[key]) if key in entries else Holding(*key, 0) for key in shown
         )
+        return Gossip(self._epoch, entries=tuple(entries[key] for key in chosen), digest=tuple(digest))
 
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
         opinions = self._table.opinions()

@@ -49,6 +49,8 @@ class Table(Revertible):
         self.entries: dict[Key, Entry] = {}
         self.marks: dict[Key, int] = {}  # of each entry a checksum, by which neighbours see whether theirs is the same
         self.hearsay: set[Key] = set()  # entries that came from others than their origin
+        self.removed = 0  # entries so far
+        self._of: dict[str, tuple[Key, ...]] = {}  # the entries of each origin, the newest first
         self._own: Key | None = None  # the entry that we add to
         self._opinions: dict[str, Opinion | None] = {}  # None: to be made again, or not yet possible
 
@@ -100,12 +102,11 @@ class Table(Revertible):
 
     def drop(self, key: Key) -> None:
         """Remove an entry that is believed no more."""
-        del self.entries[key], self.marks[key]
-        self.hearsay.discard(key)
-        if any(origin == key[0] for origin, _ in self.entries):
+        self._remove(key)
+        if self._of[key[0]]:
             self._opinions[key[0]] = None
         else:
-            del self._opinions[key[0]]
+            del self._of[key[0]], self._opinions[key[0]]
 
     def opinions(self) -> list[Opinion]:
         """The opinion of each origin, in the order of their names, without those that cannot place the target yet."""
@@ -113,20 +114,26 @@ class Table(Revertible):
 
     def _put(self, entry: Entry) -> None:
         key = (entry.origin, entry.incarnation)
+        if key not in self.entries:
+            self._of[key[0]] = tuple(sorted((*self._of.get(key[0], ()), key), reverse=True))
         self.entries[key], self.marks[key] = entry, mark(entry)
         self._opinions[key[0]] = None
         for old in self._newest(key[0])[INCARNATIONS:]:
-            del self.entries[old], self.marks[old]
-            self.hearsay.discard(old)
+            self._remove(old)
+
+    def _remove(self, key: Key) -> None:
+        del self.entries[key], self.marks[key]
+        self.hearsay.discard(key)
+        self._of[key[0]] = tuple(other for other in self._of[key[0]] if other != key)
+        self.removed += 1
 
     def _newest(self, origin: str) -> list[Key]:
         """Entries of an origin, the newest first, without the one that we add to: that is never let go."""
-        return sorted((key for key in self.entries if key[0] == origin and key != self._own), key=lambda k: -k[1])
+        return [key for key in self._of.get(origin, ()) if key != self._own]
 
     def _opinion(self, origin: str) -> Opinion | None:
         if self._opinions[origin] is None:
-            keys = sorted(key for key in self.entries if key[0] == origin)
-            self._opinions[origin] = opinion(origin, [self.entries[key] for key in reversed(keys)], self._shared)
+            self._opinions[origin] = opinion(origin, [self.entries[key] for key in self._of[origin]], self._shared)
         return self._opinions[origin]
 
 

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from typing import Any, Generic, NamedTuple, Protocol, TypeVar
 
 from agent.core.estimation.evidence_table import Bounds
@@ -14,7 +14,7 @@ from agent.core.estimation.interface import Bearing, Posterior, Prior
 from agent.core.estimation.motion import Innovation
 from agent.core.estimation.track import ROLLING, Dynamics
 from agent.core.link_clocks import CLOCKS_NS, Way
-from agent.core.messages import Explain, Gossip, Holding
+from agent.core.messages import Explain, Gossip
 from agent.core.step_transaction import Revertible
 from agent.core.trust import Authority
 
@@ -127,20 +127,20 @@ class DeliveryLedger(Revertible, Generic[Key]):
             self._sent[key] = self._turn
         return waiting[:limit]
 
-    def digest(self, lines: Sequence[Holding], change: int, now_ns: int) -> tuple[Holding, ...]:
-        """The lines that go with this message: all when the table changed or a second has passed, else none; of a
-        table longer than LINES the next part, with every message."""
-        if len(lines) > LINES:
+    def due(self, lines: int, change: int, now_ns: int) -> slice:
+        """Which of the lines of a digest go with this message: all when the table changed or a second has passed, else
+        none; of a digest longer than LINES the next part, with every message."""
+        if lines > LINES:
             start, self._line = self._line, self._line + LINES
-            if self._line >= len(lines):
+            if self._line >= lines:
                 self._line = 0
-            return tuple(lines[start : start + LINES])
+            return slice(start, start + LINES)
         if self._digested is not None:
             shown, shown_ns = self._digested
             if change == shown and now_ns - shown_ns < DIGEST_NS:
-                return ()
+                return slice(0)
         self._digested = (change, now_ns)
-        return tuple(lines)
+        return slice(None)
 
     def drop(self, kept: Mapping[Key, object]) -> None:
         """Forget about what is no longer in the table."""

@@ -165,11 +165,11 @@ class MovingTarget(Revertible):
     def say(self, to: str, now_ns: int) -> Gossip:
         ledger, signed = self._ledgers[to], self._me.authority.keys is not None
         owed = {key: 1 for key in self._window.sendable(now_ns) if signed or key[0] != to}
-        chosen = ledger.pending(owed, self._me.key, SENT)
+        chosen, lines = ledger.pending(owed, self._me.key, SENT), self._window.digest()
         return Gossip(
             self._epoch,
             samples=tuple(self._window.sample(key, now_ns) for key in chosen),
-            digest=ledger.digest(self._window.digest(), self._change, now_ns),
+            digest=tuple(lines[ledger.due(len(lines), self._change, now_ns)]),
         )
 
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:

@@ -64,17 +64,17 @@ def test_an_older_version_in_a_digest_makes_it_owed_again_and_so_does_a_restart(
 
 def test_a_digest_goes_out_on_change_once_a_second_and_after_a_restart() -> None:
     ledger, lines = DeliveryLedger(), [Holding("r0", 1, 3)]
-    assert ledger.digest(lines, 1, 0) == tuple(lines)
-    assert ledger.digest(lines, 1, DIGEST_NS // 2) == ()
-    assert ledger.digest(lines, 2, DIGEST_NS // 2) == tuple(lines)
-    assert ledger.digest(lines, 2, DIGEST_NS // 2 + DIGEST_NS) == tuple(lines)
+    assert lines[ledger.due(len(lines), 1, 0)] == lines
+    assert lines[ledger.due(len(lines), 1, DIGEST_NS // 2)] == []
+    assert lines[ledger.due(len(lines), 2, DIGEST_NS // 2)] == lines
+    assert lines[ledger.due(len(lines), 2, DIGEST_NS // 2 + DIGEST_NS)] == lines
     ledger.forget()
-    assert ledger.digest(lines, 2, DIGEST_NS // 2 + DIGEST_NS + 1) == tuple(lines)
+    assert lines[ledger.due(len(lines), 2, DIGEST_NS // 2 + DIGEST_NS + 1)] == lines
 
 
 def test_a_long_digest_goes_out_in_turns_that_leave_nothing_out() -> None:
     ledger, lines = DeliveryLedger(), [Holding("r0", k, 1) for k in range(2 * LINES + 5)]
-    shown = [line for _ in range(3) for line in ledger.digest(lines, 1, 0)]
+    shown = [line for _ in range(3) for line in lines[ledger.due(len(lines), 1, 0)]]
     assert shown == lines
 
 
