@@ -53,7 +53,7 @@ MISTAKES = [
     (["calibrate", "camera", "pictures", "--board", "14x9"], "--board '14x9': write inner corners both ways"),
     (["calibrate", "landmarks", "film.mp4"], "say which fleet file lists the tags"),
     (["calibrate", "body", "r1.mcap", TANK], "calibrate body: takes no FLEET"),
-    (["export", "--out", "x"], "Missing argument 'kind'. Choose from: csv, mp4, webp, jsonl"),
+    (["export", "--out", "x"], "Missing argument 'kind'. Choose from: csv, mp4, webp, jsonl, rosbag"),
     (["bridge", "ros2", TANK, "--origin", "47,8"], "bridge ros2: takes no --origin"),
     (["board", "stop", TANK, "--robot", "r1"], "'stop' is not one of 'info', 'tare', 'check'"),
     (["demo", "--out", "/proc"], "not empty"),

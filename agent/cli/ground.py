@@ -279,7 +279,7 @@ def extra(name: str, package: str) -> Iterator[None]:
     except ModuleNotFoundError as missing:
         if missing.name is None or missing.name.partition(".")[0] != package:
             raise
-        raise ConfigError(f"this bridge needs the extra `{name}`; {to_install(name)}") from None
+        raise ConfigError(f"this needs the extra `{name}`; {to_install(name)}") from None
 
 
 @app.command(no_args_is_help=True, epilog="Example: aucamp bridge mavlink fleet.toml --as ann")

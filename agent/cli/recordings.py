@@ -10,6 +10,7 @@ from typing import Annotated, Literal, get_args
 
 import typer
 
+from agent.cli.ground import extra
 from agent.core.config import ConfigError
 from agent.process.command import (
     FleetFile,
@@ -146,21 +147,22 @@ export_app = typer.Typer()
 )
 def export_command(
     kind: Annotated[
-        Literal["csv", "mp4", "webp", "jsonl"],
+        Literal["csv", "mp4", "webp", "jsonl", "rosbag"],
         typer.Argument(
-            help="Tables of each robot; what one robot's camera saw; a dive in twelve seconds; each message as a line."
+            help="Tables of each robot; what one robot's camera saw; a dive in twelve seconds; each message as a line; "
+            "what a fleet showed, for ROS 2."
         ),
     ],
     run: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run, or a recording (MCAP).")],
-    out: Annotated[Path, typer.Option(help="New folder for csv, else a new file.")],
+    out: Annotated[Path, typer.Option(help="New folder for csv and rosbag, else a new file.")],
     robot: Annotated[str | None, typer.Option(help="Only this robot.")] = None,
     channel: Annotated[list[str] | None, typer.Option(help="jsonl: only this channel; again for more.")] = None,
 ) -> None:
-    """A recording for other programs: tables, a film, a clip, or lines of JSON."""
+    """A recording for other programs: tables, a film, a clip, lines of JSON, or a bag of ROS 2."""
     from replay.export import write_lines, write_tables
     from replay.files.recover import auto_recovered
 
-    takes = {"jsonl": ("--channel", "--robot"), "webp": ()}.get(kind, ("--robot",))
+    takes = {"jsonl": ("--channel", "--robot"), "webp": (), "rosbag": ()}.get(kind, ("--robot",))
     refuse_options(f"export {kind}", {"--channel": channel or None, "--robot": robot}, takes)
     if kind in ("mp4", "webp") and out.suffix != f".{kind}":
         raise ConfigError(f"--out {out}: a film's name ends in .{kind}")
@@ -177,6 +179,10 @@ def export_command(
 
         frames = write_film(there, out, robot) if kind == "mp4" else write_clip(there, out)
         said = f"{frames} frames written to {out}"
+    elif kind == "rosbag":
+        with extra("ros", "rosbags"):
+            from agent.ground.bridges.ros2 import write_bag
+        said = f"{write_bag(there, out)} messages written to {out}"
     else:
         said = f"{write_lines(there, out, robot, channel or [])} lines written to {out}"
     terminal().print(said, markup=False, highlight=False)

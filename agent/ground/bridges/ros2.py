@@ -1,23 +1,34 @@
-"""ROS 2 as a language of `outward`: keys and tokens of rmw_zenoh, the messages, and the topic of each message."""
+"""ROS 2 as a language of `outward`: keys and tokens of rmw_zenoh, the messages, and the topic of each message; and a
+recording as a bag.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import itertools
 import math
+import shutil
 import struct
 from collections import Counter
 from collections.abc import Iterator
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
+from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from agent.core.config import Fleet
+from agent.core.codec import READABLE, Refusal
+from agent.core.config import ConfigError, Fleet, writing
 from agent.core.messages import Estimate, Image, Message, State
-from agent.core.robot_view import robot_view
+from agent.core.robot_view import in_own_name, robot_view
 from agent.core.topics import IMAGE, LINK, STATE, Topic, target_chunk
 from agent.ground.bridges.outward import WORLD, Foreign
+from replay.check.reexecute import recordings
+from replay.files.channels import network_topic
+from replay.files.info import suspecting
+from replay.files.log import read
+from replay.report.timeline import FleetFile, open_fleet_file
 
 # --- keys and tokens of rmw_zenoh ---
 # Keys and tokens by which rmw_zenoh finds topics, and what goes along with each message. Pure.
@@ -97,11 +108,11 @@ class Telling:
     """Knows the definitions of ROS 2 Jazzy."""
 
     def __init__(self, fleet: Fleet) -> None:
-        self._fleet, self._store = fleet, get_typestore(Stores.ROS2_JAZZY)
+        self._fleet, self.store = fleet, get_typestore(Stores.ROS2_JAZZY)
 
     def kind(self, topic: str) -> Kind:
         """The type of one of TYPES's topics."""
-        return Kind(TYPES[topic], self._store.hash_rihs01(TYPES[topic]))
+        return Kind(TYPES[topic], self.store.hash_rihs01(TYPES[topic]))
 
     def topics(self, robot: str) -> dict[str, Kind]:
         """All of a robot, by what stands behind its name. Targets are heard as neighbours are told of them."""
@@ -160,10 +171,10 @@ class Telling:
         return self._made("geometry_msgs/msg/Pose")(point, self._made("geometry_msgs/msg/Quaternion")(*turned))
 
     def _made(self, name: str) -> Any:
-        return self._store.types[name]
+        return self.store.types[name]
 
     def _bytes(self, name: str, **fields: Any) -> bytes:
-        return bytes(self._store.serialize_cdr(self._made(name)(**fields), name))
+        return bytes(self.store.serialize_cdr(self._made(name)(**fields), name))
 
 
 # --- topics ---
@@ -185,14 +196,14 @@ class Ros2:
             yield from (publisher.token for publisher in node.publishers.values())
 
     def said(self, message: Message, now_ns: int) -> Iterator[Foreign]:
-        robot, topic = self._topic(message)
+        robot, topic = self.topic(message)
         if robot not in self._nodes or (to := self._nodes[robot].publishers.get(topic)) is None:
             return  # of no robot or target of the fleet file
         if (payload := self._telling.message(message)) is not None:
             self._numbers[to.key] += 1
             yield Foreign(to.key, payload, to.attachment(self._numbers[to.key], now_ns))
 
-    def _topic(self, message: Message) -> tuple[str, str]:
+    def topic(self, message: Message) -> tuple[str, str]:
         """Robot, and what stands in the topic behind its name."""
         match message:
             case State():
@@ -202,3 +213,53 @@ class Ros2:
             case Image():
                 return message.robot, CAMERA
         return "", ""
+
+
+# --- bag ---
+# The recording of a fleet as a bag of ROS 2, with the topics and messages of the bridge: for rviz, whose fixed frame is
+# `world`, PlotJuggler and `ros2 bag play`. Its times are those at which the recorder had each message.
+
+
+def write_bag(path: Path, out: Path) -> int:
+    """Write a new folder, a bag of MCAP, and return how many messages it has.
+
+    path: a fleet's recording, or the folder of a run with one. Raises ConfigError where there is none.
+    """
+    file = open_fleet_file(_of_fleet(path))
+    try:
+        with writing(out), suspecting(file.path), Writer(out, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+            return _copied(file, bag)
+    except BaseException:
+        shutil.rmtree(out, ignore_errors=True)  # half a bag looks like a whole one
+        raise
+
+
+def _copied(file: FleetFile, bag: Writer) -> int:
+    telling, ours, count = Telling(file.fleet), Ros2(file.fleet, 0), 0
+    connections = {
+        f"{robot}/{name}": bag.add_connection(f"/{robot}/{name}", kind.name, typestore=telling.store)
+        for robot in file.fleet.robot
+        for name, kind in telling.topics(robot).items()
+    }
+    for record in read(file.path):
+        row = network_topic(record.channel)
+        if row is None or row[0] not in ours.rows:
+            continue
+        try:
+            message = in_own_name(*row, record.data, READABLE)
+        except Refusal:
+            continue
+        to, payload = connections.get("/".join(ours.topic(message))), telling.message(message)
+        if to is not None and payload is not None:
+            bag.write(to, record.log_time_ns, payload)
+            count += 1
+    return count
+
+
+def _of_fleet(path: Path) -> Path:
+    if not path.is_dir():
+        return path
+    found = recordings(path, "fleet")
+    if not found:
+        raise ConfigError(f"{path}: has no recording of a fleet; give what `aucamp record` wrote, or a demo's folder")
+    return found[0]

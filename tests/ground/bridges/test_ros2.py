@@ -6,11 +6,13 @@ import struct
 import pytest
 from msgspec.structs import replace
 
-from agent.core.config import Body, Fleet
+from agent.core.config import Body, ConfigError, Fleet
 from agent.core.messages import Estimate, Image, Whereabouts
 from agent.core.ranging.camera_model import camera_pose
 from agent.ground.bridges.ros2 import Kind, nodes
 from tests.ground.bridges.states import START_NS, state
+from tests.places import GOLDEN
+from tests.replay.overheard_run import overheard_run
 
 STRING = Kind("std_msgs/msg/String", "RIHS01_df668c740482bbd48fb39d76a70dfd4bd59db1288021743503259e948f6b1a18")
 
@@ -128,3 +130,31 @@ def test_what_is_said_goes_to_its_topic_and_is_counted(telling, fleet: Fleet) ->
     assert not list(ros.said(state("r1", whereabouts=None, behaviour="hold"), START_NS))
     assert not list(ros.said(state("r99"), START_NS))
     assert not list(ros.said(estimate(target="other", x_m=(0.0, 0.0, 0.0), cov_m2=(1.0, 0.0, 0.0, 1.0, 0.0, 1.0)), 0))
+
+
+def test_a_recording_is_a_bag_that_others_read(tmp_path) -> None:
+    pytest.importorskip("rosbags", reason="pip install 'aucamp[ros]'")
+    from rosbags.highlevel import AnyReader
+
+    from agent.ground.bridges.ros2 import write_bag
+
+    fleet = overheard_run(GOLDEN / "outage", tmp_path / "fleet.mcap")
+    count = write_bag(fleet, tmp_path / "bag")
+    with AnyReader([tmp_path / "bag"]) as bag:
+        told = {each.topic: (each.msgtype, each.msgcount) for each in bag.connections}
+        targets = [each for each in bag.connections if each.topic == "/r1/target"]
+        placed = [bag.deserialize(raw, each.msgtype) for each, _, raw in bag.messages(connections=targets)]
+    assert sum(number for _, number in told.values()) == count
+    assert told["/r1/pose"][0] == "geometry_msgs/msg/PoseStamped" and told["/r2/pose"][1] > 10
+    assert {each.header.frame_id for each in placed} == {"world"} and len(placed) > 10
+
+
+def test_a_bag_is_made_of_a_fleet_s_recording_or_not_at_all(tmp_path) -> None:
+    pytest.importorskip("rosbags", reason="pip install 'aucamp[ros]'")
+    from agent.ground.bridges.ros2 import write_bag
+
+    with pytest.raises(ConfigError, match="no recording of a fleet"):
+        write_bag(GOLDEN / "outage", tmp_path / "bag")
+    with pytest.raises(ConfigError, match="is no recording of a fleet"):
+        write_bag(GOLDEN / "outage" / "r1.mcap", tmp_path / "bag")
+    assert not (tmp_path / "bag").exists()
