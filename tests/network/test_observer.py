@@ -15,10 +15,11 @@ import zenoh
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
+import aucamp
 import replay.recorder
 from agent.core import topics
 from agent.core.codec import decode, encode, encoding
-from agent.core.config import ConfigError, Fleet
+from agent.core.config import ConfigError, Fleet, dump
 from agent.core.messages import MAX_JPEG, Estimate, Image, LogLine, State
 from agent.core.topics import IMAGE, STATE
 from agent.ground.schemas import decode as printed
@@ -61,6 +62,26 @@ def test_an_observer_sees_all_and_is_heard_by_nobody(make_fleet: Fleets, estimat
         until(complete)
         assert seen == {("state", "test", "r1"), ("log", "test", "r3"), ("link", "test", "r2", "r3")}
         assert r1.drain() == ((), ())
+
+
+def test_python_listens_in_three_lines(make_fleet: Fleets, state: Shows, tmp_path: Path) -> None:
+    fleet = make_fleet({"r1": ()})
+    (tmp_path / "fleet.toml").write_text(dump(fleet), encoding="utf-8")
+    done = threading.Event()
+    with Transport(fleet, "r1", time.time_ns) as r1:
+
+        def show() -> None:
+            while not done.wait(0.05):
+                r1.show(state("r1"))
+
+        showing = threading.Thread(target=show)
+        showing.start()
+        try:
+            heard = next(aucamp.listen(tmp_path / "fleet.toml", for_s=20.0))
+        finally:
+            done.set()
+            showing.join()
+    assert heard.robot == "r1" and not list(aucamp.listen(tmp_path / "fleet.toml", for_s=0.1))
 
 
 def test_an_observer_hears_the_rows_it_asked_for(make_fleet: Fleets, estimate: Says, state: Shows) -> None:
