@@ -143,6 +143,29 @@ def snapshot(
         typer.echo(target_table(robots, target, path, image))
 
 
+@app.command(epilog="Example: aucamp watch fleet.toml")
+def watch(fleet: FleetFile) -> None:
+    """A line for each robot of a running fleet, as they speak, until Ctrl-C. They do not notice."""
+    from rich.live import Live
+    from rich.text import Text
+
+    from agent.ground import observe
+    from agent.process.certificates import credentials
+    from agent.process.transport import LOOKER
+
+    robots, console = load_fleet(fleet), terminal()
+    with until_signal() as stop:
+        if not console.is_terminal:
+            observe.watch(robots, credentials(robots, LOOKER, fleet), stop, lambda lines: typer.echo("\n".join(lines)))
+            return
+        with Live(console=console, auto_refresh=False) as live:
+
+            def show(lines: list[str]) -> None:
+                live.update(Text("\n".join(lines)), refresh=True)
+
+            observe.watch(robots, credentials(robots, LOOKER, fleet), stop, show)
+
+
 Page = StrEnum("Page", ["priorities", "sigma"])  # of what `aucamp explain` explains
 
 

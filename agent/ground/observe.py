@@ -1,5 +1,5 @@
-"""A running fleet from outside: `aucamp snapshot`, the next picture that a robot shows; `aucamp record` and `aucamp
-view`, also of several fleets at once.
+"""A running fleet from outside: `aucamp snapshot`, the next picture that a robot shows; `aucamp watch`, a line for each
+robot; `aucamp record` and `aucamp view`, also of several fleets at once.
 """
 
 from __future__ import annotations
@@ -7,13 +7,16 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from threading import Event
 from typing import NamedTuple, TypeVar
 
+from msgspec import UNSET
+
 from agent.clock import machine
-from agent.core.codec import Refusal
+from agent.core.codec import Refusal, printable
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Image, State
 from agent.core.robot_view import in_own_name, robot_view
@@ -28,6 +31,7 @@ from replay.recorder import record, view
 HEARD_S = 3.0  # of the wall: states come five times a second, and a link is there in less than one
 PICTURE_S = 10.0  # between two sweeps a whole frame is seldom further away, also in a dive at a quarter of its speed
 LOOK_S = 0.02
+WATCH_S = 0.5  # between two looks of a person
 
 
 def next_picture(fleet: Fleet, robot: str, keys: Path | None = None) -> Image:
@@ -102,6 +106,50 @@ def target_table(fleet: Fleet, name: str, path: Path, image: Image) -> str:
         f'picture = "{path.name}"   # beside the fleet file\n'
         "box = [X, Y, WIDTH, HEIGHT]   # around the thing in it: pixels from the upper left corner"
     )
+
+
+# --- watch ---
+# `aucamp watch`: a line for each robot of a fleet, written anew as states come.
+
+SILENT_S = 2.0  # without a state: ten of them
+WORDS = 3  # faults in a line
+
+
+def watch(fleet: Fleet, keys: Path | None, stop: Event, show: Callable[[list[str]], None]) -> None:
+    """Show the lines of all robots, in the order of the fleet file, each WATCH_S until `stop` is set."""
+    heard: dict[str, tuple[State, float]] = {}
+    with Observer(fleet, machine.monotonic_ns, (STATE,), keys=keys) as observer:
+        while not machine.wait(stop, WATCH_S):
+            for seen in observer.drain():
+                with suppress(Refusal):
+                    state: State = in_own_name(seen.topic, seen.chunks, seen.payload)
+                    heard[state.robot] = state, machine.monotonic_s()
+            now_s = machine.monotonic_s()
+            show([line_of(name, fleet, heard.get(name), now_s) for name in fleet.robot])
+
+
+def line_of(robot: str, fleet: Fleet, heard: tuple[State, float] | None, now_s: float) -> str:
+    """What a robot last said, and when, in one line of plain words."""
+    if heard is None:
+        return f"{robot}  not heard"
+    state, heard_s = heard
+    view, said = robot_view(state, fleet), [f"{robot}  {state.knows} {state.target}"]
+    if state.posterior_m is not None:
+        place, sigma_m = " ".join(f"{x_m:.3f}" for x_m in state.posterior_m), state.posterior_sigma_m
+        said.append(f"at {place} m" + ("" if sigma_m is None else f" +- {1e3 * sigma_m:.1f} mm"))
+        said.append(state.verdict if not state.causes else f"{state.verdict}: {state.causes[0]}")
+    if view.body is not None and state.whereabouts is not UNSET:
+        said.append(f"itself at {view.body.x_m:.2f} {view.body.y_m:.2f} m")
+    said.append("depth not known" if state.depth_m is None else f"depth {state.depth_m:.2f} m")
+    said.append(f"hears {' '.join(view.hears) or 'nobody'}")
+    if view.motors:
+        said.append(view.motors)
+    if state.battery_v is not UNSET:
+        said.append(f"{state.battery_v:.1f} V")
+    said += state.faults[:WORDS]
+    if now_s - heard_s > SILENT_S:
+        said.append(f"silent for {now_s - heard_s:.0f} s")
+    return "  ".join(map(printable, said))
 
 
 # --- several fleets at once ---

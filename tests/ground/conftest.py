@@ -1,4 +1,4 @@
-"""The fleet that bridges show."""
+"""The fleet that bridges and a person look at."""
 
 import pytest
 
