@@ -213,6 +213,10 @@ def reconstruct_command(
         Path | None,
         typer.Option(metavar="FILE", help="Not recordings: pictures with poses in nerfstudio's layout."),
     ] = None,
+    length: Annotated[
+        str | None,
+        typer.Option(metavar="A,B,METRES", help="--transforms: two pictures, and how far apart their cameras were."),
+    ] = None,
     cell_mm: Annotated[float, typer.Option(min=1.0, max=100.0, help="Of the grid that the surface is found on.")] = 5.0,
     stereo: Annotated[
         bool, typer.Option("--stereo/--no-stereo", help="Compare pictures, too; without: by focus alone, in seconds.")
@@ -230,6 +234,7 @@ def reconstruct_command(
     from agent.reconstruction.export import Kind
     from agent.reconstruction.report import in_metres
     from agent.reconstruction.run import Settings, run
+    from agent.reconstruction.sources import parse_length
     from replay.files.recover import auto_recovered
 
     assert get_args(Kind) == KINDS
@@ -239,12 +244,15 @@ def reconstruct_command(
         raise ConfigError("--no-stereo: pictures without focus have no depths but by comparing them; leave it out")
     if transforms is not None and not transforms.exists():
         raise ConfigError(f"{transforms}: no such file or folder")
+    if length is not None and transforms is None:
+        raise ConfigError("--length: recordings are in metres; give it with --transforms")
     there = auto_recovered(list(runs or ()), complain)
     folder = run_folder(out)
     exports = tuple(kind for kind in get_args(Kind) if kind in [str(one) for one in export or ("ply",)])
     asked = Settings(
         runs=tuple(there),
         transforms=transforms,
+        length=None if length is None else parse_length(length),
         exports=exports,
         cell_m=cell_mm * 1e-3,
         stereo=stereo,

@@ -23,7 +23,7 @@ from agent.reconstruction.mesh import Mesh
 from agent.reconstruction.plane_sweep import Range, neighbours, plane_sweep
 from agent.reconstruction.refine_poses import refine
 from agent.reconstruction.report import write_report
-from agent.reconstruction.sources import DISTANCE_M, recorded_views, transforms_views
+from agent.reconstruction.sources import DISTANCE_M, Length, recorded_views, transforms_views, unit_m
 from agent.reconstruction.views import Floats, View, stacked
 
 # --- the command ---
@@ -37,6 +37,7 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
 
     runs: tuple[Path, ...] = ()
     transforms: Path | None = None
+    length: Length | None = None  # of the transforms; None: nobody knows their unit
     exports: tuple[Kind, ...] = ("ply",)
     cell_m: float = CELL_M
     stereo: bool = True
@@ -106,13 +107,21 @@ def _from_recordings(settings: Settings, show: Show) -> Made:
 
 
 def _from_pictures(settings: Settings, folder: Path, show: Show) -> Made:
-    """Pictures that others took have poses alone, and lengths of an unknown unit."""
+    """Pictures that others took have poses alone, and lengths of an unknown unit, unless one is known."""
+    unit = 1.0 if settings.length is None else unit_m(folder, settings.length)
     posed = transforms_views(folder, show)
     views = posed.views
     by = scale_of(views)
     used, held = held_back(scaled(views, by))
     found = with_depths(used, lambda done, total: show(done, total, "looking for depths"))
-    return Made(_built(found, settings, True, show), held, posed.passed_over, posed.notes, 1.0 / by, False)
+    return Made(
+        _built(found, settings, True, show),
+        held,
+        posed.passed_over,
+        posed.notes,
+        unit / by,
+        settings.length is not None,
+    )
 
 
 def _built(views: Sequence[View], settings: Settings, stereo: bool, show: Show) -> Built:

@@ -273,6 +273,45 @@ def transforms_views(path: Path, show: Show) -> Posed:
     return Posed(views, {"pictures that are not there": missing} if missing else {}, [] if line is None else [line])
 
 
+class Length(NamedTuple):
+    """How far apart two cameras were: by what the unit of a scene is known."""
+
+    one: str  # picture as its file is called in transforms.json, with or without folder and ending
+    other: str
+    metres: float
+
+
+def parse_length(text: str) -> Length:
+    """A,B,METRES. Raises ConfigError."""
+    one, other, metres = (*(part.strip() for part in text.split(",")), "", "", "")[:3]
+    try:
+        found = Length(one, other, float(metres))
+    except ValueError:
+        found = Length("", "", 0.0)
+    if not (found.one and found.other and 0.0 < found.metres < math.inf) or text.count(",") != 2:
+        raise ConfigError(f"--length {text}: write two pictures and how far apart their cameras were: A,B,METRES")
+    return found
+
+
+def unit_m(path: Path, length: Length) -> float:
+    """What a unit of the scene is in metres. Raises ConfigError for pictures that are not there, or at one place."""
+    file = path / "transforms.json" if path.is_dir() else path
+    frames = read_transforms(file).frames
+    places = [np.array(_named(file, frames, name).transform_matrix)[:3, 3] for name in length[:2]]
+    apart = float(np.linalg.norm(places[0] - places[1]))
+    if not apart > 0.0:
+        raise ConfigError(f"--length: {length.one} and {length.other} were taken at one place; take two others")
+    return length.metres / apart
+
+
+def _named(file: Path, frames: Sequence[Frame], name: str) -> Frame:
+    found = [frame for frame in frames if name in (path := frame.file_path, Path(path).name, Path(path).stem)]
+    if len(found) != 1:
+        why = f"{len(found)} pictures are called {name}" if found else f"no picture is called {name}"
+        raise ConfigError(f"--length: {why} in {file}; write one as its file_path is there, as {frames[0].file_path}")
+    return found[0]
+
+
 def read_transforms(file: Path) -> Transforms:
     """Raises ConfigError for what is none, and for numbers that are not finite or are too large."""
     give = "give a folder in nerfstudio's layout, or its file"

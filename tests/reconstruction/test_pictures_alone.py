@@ -15,7 +15,7 @@ from agent.core.config import ConfigError
 from agent.reconstruction.export import depth_unit, write_transforms
 from agent.reconstruction.mesh import Mesh
 from agent.reconstruction.run import Settings, looked_at, run, scale_of
-from agent.reconstruction.sources import transforms_views
+from agent.reconstruction.sources import parse_length, read_transforms, transforms_views, unit_m
 from agent.reconstruction.views import Camera, View
 from tests.reconstruction.drawn import drawn_view, plane_depth
 
@@ -110,6 +110,37 @@ def test_a_floor_from_pictures_alone(folder: Path, tmp_path: Path) -> None:
     assert figures["size_units"] == pytest.approx(np.ptp(result.built.mesh.vertices_m, axis=0), rel=1e-3)
     assert result.figures["image"]["psnr_held_back_db"] is None or result.figures["image"]["psnr_held_back_db"] > 15
     assert (out / "surface.ply").exists()
+
+
+def test_one_known_length_makes_metres(folder: Path, tmp_path: Path) -> None:
+    """The scene is UNIT times as large as it was drawn."""
+    views = transforms_views(folder, quiet).views
+    apart_m = float(np.linalg.norm(views[0].position_m - views[3].position_m)) / UNIT
+    names = [frame.file_path for frame in read_transforms(folder / "transforms.json").frames]
+    length = parse_length(f"{names[0]},{Path(names[3]).stem},{apart_m}")
+    assert unit_m(folder, length) == pytest.approx(1.0 / UNIT)
+    (tmp_path / "out").mkdir()
+    asked = Settings(transforms=folder, length=length, video=False, cell_m=0.01)
+    figures = run(asked, tmp_path / "out", quiet).figures
+    assert 0.2 < figures["size_m"][0] < 2.0 and "size_units" not in figures
+
+
+@pytest.mark.parametrize(
+    ("text", "why"),
+    [
+        ("a,b", "write two pictures"),
+        ("a,b,c", "write two pictures"),
+        ("a,b,-1", "write two pictures"),
+        ("a,b,1,2", "write two pictures"),
+        ("a,b,1", "no picture is called a"),
+        ("00000,00000,1", "at one place"),
+    ],
+)
+def test_a_length_that_says_nothing_is_one_line(folder: Path, text: str, why: str) -> None:
+    stem = Path(read_transforms(folder / "transforms.json").frames[0].file_path).stem
+    with pytest.raises(ConfigError, match=why) as error:
+        unit_m(folder, parse_length(text.replace("00000", stem)))
+    assert "\n" not in str(error.value)
 
 
 def test_a_bent_lens_is_straightened(folder: Path) -> None:
