@@ -9,6 +9,7 @@ ENV PIP_NO_CACHE_DIR=1 PIP_DISABLE_PIP_VERSION_CHECK=1
 WORKDIR /src
 COPY LICENSE README.md constraints.txt pyproject.toml ./
 COPY agent agent
+COPY aucamp aucamp
 COPY hw hw
 COPY replay replay
 COPY router_config router_config
