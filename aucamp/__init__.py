@@ -21,19 +21,19 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from agent.clock import machine
-from agent.core.codec import Refusal, decode
+from agent.core.codec import decode
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import State
-from agent.core.robot_view import in_own_name
 from agent.core.step_io import Inputs, Outputs
 from agent.core.topics import STATE
+from agent.ground.bridges.outward import own_word
 from agent.process.certificates import credentials
 from agent.process.transport import LOOKER, Observer
 from agent.robot.fleet_reader import load_fleet
 from replay.check.reexecute import STEP_BYTES, BlackBox, Reexecution, reexecute
 from replay.export import tables
 from replay.files.info import suspecting
-from replay.report.lead import truth_of
+from replay.report.lead import truth_at
 from replay.report.timeline import Run, open_run
 
 __all__ = ["Recording", "Step", "listen", "replay"]
@@ -84,14 +84,9 @@ class Recording:
         """
         self._known(robot)
         name = target or next(iter(self.fleet.target))
-        swam, stays_m, start_ns = truth_of(self._run, name), self._run.truths_m.get(name), self._run.start_ns or 0
-        found = []
-        for timeline in self._run.about(name):
-            for belief, x_m in timeline.held if timeline.robot == robot else ():
-                there = stays_m if swam is None else swam.at([start_ns + round(belief.t_s * 1e9)])[0].tolist()
-                if there is not None and not any(map(math.isnan, there)):
-                    found.append((belief.t_s, math.dist(x_m, there)))
-        return found
+        true_m = truth_at(self._run, name)
+        held = (each for timeline in self._run.about(name) if timeline.robot == robot for each in timeline.held)
+        return [(b.t_s, math.dist(x_m, there)) for b, x_m in held if (there := true_m(b.t_s)) is not None]
 
     def steps(self, robot: str) -> Iterator[Step]:
         """What went into each step and what came out, decoded. Raises ConfigError without a black box of the robot."""
@@ -111,7 +106,7 @@ class Recording:
         boxes = [box for box in self._run.boxes if box.robot == robot]
         if not boxes:
             raise ConfigError(f"{self._run.path}: has no black box of {robot}; its agent writes one")
-        return sorted(boxes, key=lambda box: box.incarnation)
+        return boxes
 
     def _known(self, robot: str) -> None:
         if robot not in self.robots:
@@ -135,8 +130,6 @@ def listen(fleet: str | Path, name: str = LOOKER, for_s: float | None = None) ->
     with Observer(of, machine.monotonic_ns, (STATE,), name=name, keys=credentials(of, name, path)) as observer:
         while machine.monotonic_s() < until_s:
             for seen in observer.drain():
-                try:
-                    yield in_own_name(seen.topic, seen.chunks, seen.payload)
-                except Refusal:
-                    continue
+                if isinstance(said := own_word(seen), State):
+                    yield said
             machine.sleep(LOOK_S)

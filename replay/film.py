@@ -15,11 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core import topics
-from agent.core.codec import READABLE, Refusal, decode
+from agent.core.codec import decode
 from agent.core.config import ConfigError, Fleet
 from agent.core.linear_algebra import full
 from agent.core.messages import State, Vector
-from agent.core.robot_view import in_own_name, robot_view
+from agent.core.robot_view import robot_view
 from agent.core.step_io import Sighting
 from replay.check.reexecute import BlackBox, open_box
 from replay.export import recordings_of, wanted, whole_or_none
@@ -28,9 +28,8 @@ from replay.files.frames import MAX_PIXELS, Film, Frames, Picture, film, pixels
 from replay.files.info import info, suspecting
 from replay.files.log import read
 from replay.files.mcap_file import parts
-from replay.report.creature_track import Path3
-from replay.report.lead import truth_of
-from replay.report.timeline import Belief, Run, open_run
+from replay.report.lead import truth_at
+from replay.report.timeline import Belief, Run, open_run, said_in
 
 # --- film ---
 # The recorded pictures of one robot as a film: what its camera saw, where it saw the target, when, and with which
@@ -174,13 +173,8 @@ def _previewed(path: Path) -> set[str]:
 
 
 def _previews(path: Path, robot: str) -> Iterator[Shot]:
-    for record in read(path):
-        row = network_topic(record.channel)
-        if row is None or row[0] is not topics.IMAGE or row[1]["robot"] != robot:
-            continue
-        try:
-            shown = in_own_name(*row, record.data, READABLE)
-        except Refusal:
+    for said in said_in(path, (topics.IMAGE,)):
+        if (shown := said.message).robot != robot:
             continue
         picture = Picture(t_ns=shown.t_ns, frame=shown.frame, roi=(0, 0, 0, 0), format="jpeg", data=shown.jpeg)
         lens = f"lens {shown.focus}" if shown.focus is not None else "lens unknown"
@@ -222,9 +216,7 @@ def write_clip(path: Path, out: Path) -> int:
     robots = [_moving(run, name, target) for name in run.fleet.robot if any(box.robot == name for box in run.boxes)]
     if not robots or run.start_ns is None:
         raise ConfigError(f"{path}: has no black box; give the folder of a run whose agents recorded themselves")
-    swam = truth_of(run, target)
-    stays_m = run.truths_m.get(target)
-    ends_s = max(timeline.ends_s for timeline in run.timelines)
+    true_m, ends_s = truth_at(run, target), max(timeline.ends_s for timeline in run.timelines)
     count = round(CLIP_S * CLIP_FPS)
     clip = cv2.Animation()
     frames, seen = [], dict[str, Shot]()
@@ -233,7 +225,7 @@ def write_clip(path: Path, out: Path) -> int:
             t_s = ends_s * (number + 1) / count
             for robot in robots:
                 _advance(robot, run.start_ns + round(t_s * 1e9), seen)
-            frames.append(_drawn(run.fleet, robots, seen, t_s, _true_m(swam, stays_m, run.start_ns, t_s)))
+            frames.append(_drawn(run.fleet, robots, seen, t_s, true_m(t_s)))
     if not seen:
         raise ConfigError(f"{path}: has no pictures; agents with a camera record them")
     clip.frames, clip.durations = frames, [round(1e3 / CLIP_FPS)] * count
@@ -247,7 +239,7 @@ def _moving(run: Run, name: str, target: str) -> Moving:
     about = [each for each in run.timelines if each.robot == name]
     states = sorted((row for each in about for row in each.states), key=lambda row: row[0])
     beliefs = next((each.beliefs for each in about if each.target == target), ())
-    boxes = sorted((box for box in run.boxes if box.robot == name), key=lambda box: box.incarnation)
+    boxes = [box for box in run.boxes if box.robot == name]
     colour = ROBOTS[list(run.fleet.robot).index(name) % len(ROBOTS)]
     camera = boxes[0].calibration.camera
     half_view_rad = math.atan(0.5 * camera.width_px / camera.f_px)
@@ -264,13 +256,6 @@ def _advance(robot: Moving, now_ns: int, seen: dict[str, Shot]) -> None:
         seen[robot.name] = shot
 
 
-def _true_m(swam: Path3 | None, stays_m: Vector | None, start_ns: int, t_s: float) -> Vector | None:
-    if swam is None:
-        return stays_m
-    x, y, z = swam.at([start_ns + round(t_s * 1e9)])[0].tolist()
-    return None if math.isnan(x) else (x, y, z)
-
-
 def _drawn(
     fleet: Fleet, robots: Sequence[Moving], seen: Mapping[str, Shot], t_s: float, true_m: Vector | None
 ) -> Colours:
@@ -278,7 +263,7 @@ def _drawn(
     scale = TANK_PX / fleet.tank.size_m[0]
     tank_high = round(fleet.tank.size_m[1] * scale)
     high = (tank_high + 2 * MARGIN_PX) // 2 * 2
-    each_high = high // max(len(robots), 1)
+    each_high = high // len(robots)
     camera = next((shot.image.shape for shot in seen.values()), (3, 4, 3))
     each_wide = round(each_high * camera[1] / camera[0])
     image = np.full((high + FOOT_PX, TANK_PX + 2 * MARGIN_PX + each_wide, 3), WATER, np.uint8)

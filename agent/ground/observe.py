@@ -7,7 +7,6 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from threading import Event
@@ -21,6 +20,7 @@ from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Image, State
 from agent.core.robot_view import in_own_name, robot_view
 from agent.core.topics import IMAGE, STATE
+from agent.ground.bridges.outward import own_word
 from agent.process.certificates import credentials
 from agent.process.command import Failed, new_recording
 from agent.process.keys import VARIABLE
@@ -121,9 +121,8 @@ def watch(fleet: Fleet, keys: Path | None, stop: Event, show: Callable[[list[str
     with Observer(fleet, machine.monotonic_ns, (STATE,), keys=keys) as observer:
         while not machine.wait(stop, WATCH_S):
             for seen in observer.drain():
-                with suppress(Refusal):
-                    state: State = in_own_name(seen.topic, seen.chunks, seen.payload)
-                    heard[state.robot] = state, machine.monotonic_s()
+                if isinstance(said := own_word(seen), State):
+                    heard[said.robot] = said, machine.monotonic_s()
             now_s = machine.monotonic_s()
             show([line_of(name, fleet, heard.get(name), now_s) for name in fleet.robot])
 

@@ -7,10 +7,9 @@ from __future__ import annotations
 import itertools
 import math
 import re
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, Literal, NamedTuple
 
-import numpy as np
 from markupsafe import Markup
 
 from agent.core.config import Fleet
@@ -49,8 +48,8 @@ class End(NamedTuple):
 
 def ends(run: Run) -> list[End]:
     """In the order of the timelines."""
-    ways = {target: truth_of(run, target) for target in run.fleet.target}
-    return [_end(run, timeline, ways[timeline.target]) for timeline in run.timelines]
+    truths = {target: truth_at(run, target) for target in run.fleet.target}
+    return [_end(run, timeline, truths[timeline.target]) for timeline in run.timelines]
 
 
 def truth_of(run: Run, target: str) -> Path3 | None:
@@ -59,12 +58,22 @@ def truth_of(run: Run, target: str) -> Path3 | None:
     return None if run.fleet.target[target].speed_m_s is None else true_path(folder, target)
 
 
-def _end(run: Run, timeline: RobotTimeline, way: Path3 | None) -> End:
+def truth_at(run: Run, target: str) -> Callable[[float], Vector | None]:
+    """Where a target truly was, by the run's seconds; None where nobody knows."""
+    way, stays_m, start_ns = truth_of(run, target), run.truths_m.get(target), run.start_ns or 0
+
+    def at(t_s: float) -> Vector | None:
+        if way is None:
+            return stays_m
+        x, y, z = way.at([start_ns + round(t_s * 1e9)])[0].tolist()
+        return None if math.isnan(x + y + z) else (x, y, z)
+
+    return at
+
+
+def _end(run: Run, timeline: RobotTimeline, true_m: Callable[[float], Vector | None]) -> End:
     held_s = [t_s for t_s, state in timeline.states if state.posterior_m is not None]
-    estimate, truth_m = timeline.estimate, run.truths_m.get(timeline.target)
-    if held_s and way is not None:
-        at = way.at([(run.start_ns or 0) + round(held_s[-1] * 1e9)])[0]
-        truth_m = None if np.isnan(at).any() else (float(at[0]), float(at[1]), float(at[2]))
+    estimate, truth_m = timeline.estimate, true_m(held_s[-1]) if held_s else run.truths_m.get(timeline.target)
     return End(
         robot=timeline.robot,
         target=timeline.target,

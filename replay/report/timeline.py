@@ -10,7 +10,8 @@ from __future__ import annotations
 import itertools
 import json
 from collections import Counter, defaultdict
-from collections.abc import Container, Iterable, Sequence
+from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -26,7 +27,7 @@ from agent.core.config import ConfigError, Fleet, check_depth, convert, read_tex
 from agent.core.messages import Answer, Estimate, LogLine, State, Symmetric, Vector
 from agent.core.robot_view import in_own_name
 from agent.core.step_io import Grant, Inputs, Outputs, Sighting, SweepOutcome
-from agent.core.topics import CLAIM, KEYFRAME
+from agent.core.topics import CLAIM, KEYFRAME, TOPICS, Topic
 from agent.robot.fleet_reader import load_fleet
 from replay.check.check import Link, links
 from replay.check.reexecute import (
@@ -317,21 +318,43 @@ def open_fleet_file(path: Path) -> FleetFile:
     return FleetFile(path, fleet, run, all(each.complete for each in heads))
 
 
+def fleet_recording(path: Path) -> Path:
+    """The recording of the fleet that a path stands for. Raises ConfigError where there is none."""
+    if not path.is_dir():
+        return path
+    found = recordings(path, "fleet")
+    if not found:
+        raise ConfigError(f"{path}: has no recording of a fleet in it; give the folder of a run, or what record wrote")
+    return found[0]
+
+
+class Said(NamedTuple):
+    """A message of the network as a recording has it."""
+
+    log_time_ns: int
+    topic: Topic
+    chunks: Mapping[str, str]
+    message: Any
+
+
+def said_in(path: Path, rows: Collection[Topic] = TOPICS) -> Iterator[Said]:
+    """What was said on these rows, in the order of the file; what does not decode is passed over."""
+    for record in read(path):
+        row = network_topic(record.channel)
+        if row is None or row[0] not in rows:
+            continue
+        with suppress(Refusal):
+            message = in_own_name(*row, record.data, READABLE)
+            yield Said(record.log_time_ns, *row, message)
+
+
 def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str] = ()) -> Overheard:
     """The robots of a fleet file by name, those in `known` left out. Times are by the robots' own clocks, since
     `start_ns`, or since the first state of any of them. What does not decode is passed over.
     """
     robots = {name: _Gathered() for name in file.fleet.robot}
     said: dict[tuple[str, str], set[tuple[int, int]]] = {}
-    for record in read(file.path):
-        row = network_topic(record.channel)
-        if row is None:
-            continue
-        topic, chunks = row
-        try:
-            message = in_own_name(topic, chunks, record.data, READABLE)
-        except Refusal:
-            continue
+    for _, topic, chunks, message in said_in(file.path):
         robot = robots.get(chunks[topic.writer])
         if robot is None:
             continue

@@ -18,17 +18,13 @@ import numpy as np
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_typestore
 
-from agent.core.codec import READABLE, Refusal
-from agent.core.config import ConfigError, Fleet, writing
+from agent.core.config import Fleet, writing
 from agent.core.messages import Estimate, Image, Message, State
-from agent.core.robot_view import in_own_name, robot_view
+from agent.core.robot_view import robot_view
 from agent.core.topics import IMAGE, LINK, STATE, Topic, target_chunk
 from agent.ground.bridges.outward import WORLD, Foreign
-from replay.check.reexecute import recordings
-from replay.files.channels import network_topic
 from replay.files.info import suspecting
-from replay.files.log import read
-from replay.report.timeline import FleetFile, open_fleet_file
+from replay.report.timeline import FleetFile, fleet_recording, open_fleet_file, said_in
 
 # --- keys and tokens of rmw_zenoh ---
 # Keys and tokens by which rmw_zenoh finds topics, and what goes along with each message. Pure.
@@ -184,12 +180,12 @@ class Ros2:
     rows: tuple[Topic, ...] = (STATE, LINK, IMAGE)
 
     def __init__(self, fleet: Fleet, domain: int) -> None:
-        self._fleet, self._domain, self._telling = fleet, domain, Telling(fleet)
+        self._fleet, self._domain, self.telling = fleet, domain, Telling(fleet)
         self._nodes: dict[str, Node] = {}
         self._numbers: Counter[str] = Counter()  # of each topic's messages so far
 
     def tokens(self, session: str) -> Iterator[str]:
-        robots = {robot: self._telling.topics(robot) for robot in self._fleet.robot}
+        robots = {robot: self.telling.topics(robot) for robot in self._fleet.robot}
         self._nodes = nodes(session, self._domain, robots)
         for node in self._nodes.values():
             yield node.token
@@ -199,7 +195,7 @@ class Ros2:
         robot, topic = self.topic(message)
         if robot not in self._nodes or (to := self._nodes[robot].publishers.get(topic)) is None:
             return  # of no robot or target of the fleet file
-        if (payload := self._telling.message(message)) is not None:
+        if (payload := self.telling.message(message)) is not None:
             self._numbers[to.key] += 1
             yield Foreign(to.key, payload, to.attachment(self._numbers[to.key], now_ns))
 
@@ -209,7 +205,7 @@ class Ros2:
             case State():
                 return message.robot, POSE
             case Estimate() if message.target in self._fleet.target:
-                return message.src, self._telling.target_topic(message.target)
+                return message.src, self.telling.target_topic(message.target)
             case Image():
                 return message.robot, CAMERA
         return "", ""
@@ -225,7 +221,7 @@ def write_bag(path: Path, out: Path) -> int:
 
     path: a fleet's recording, or the folder of a run with one. Raises ConfigError where there is none.
     """
-    file = open_fleet_file(_of_fleet(path))
+    file = open_fleet_file(fleet_recording(path))
     try:
         with writing(out), suspecting(file.path), Writer(out, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
             return _copied(file, bag)
@@ -235,31 +231,15 @@ def write_bag(path: Path, out: Path) -> int:
 
 
 def _copied(file: FleetFile, bag: Writer) -> int:
-    telling, ours, count = Telling(file.fleet), Ros2(file.fleet, 0), 0
+    ours, count = Ros2(file.fleet, 0), 0
     connections = {
-        f"{robot}/{name}": bag.add_connection(f"/{robot}/{name}", kind.name, typestore=telling.store)
+        f"{robot}/{name}": bag.add_connection(f"/{robot}/{name}", kind.name, typestore=ours.telling.store)
         for robot in file.fleet.robot
-        for name, kind in telling.topics(robot).items()
+        for name, kind in ours.telling.topics(robot).items()
     }
-    for record in read(file.path):
-        row = network_topic(record.channel)
-        if row is None or row[0] not in ours.rows:
-            continue
-        try:
-            message = in_own_name(*row, record.data, READABLE)
-        except Refusal:
-            continue
-        to, payload = connections.get("/".join(ours.topic(message))), telling.message(message)
+    for said in said_in(file.path, ours.rows):
+        to, payload = connections.get("/".join(ours.topic(said.message))), ours.telling.message(said.message)
         if to is not None and payload is not None:
-            bag.write(to, record.log_time_ns, payload)
+            bag.write(to, said.log_time_ns, payload)
             count += 1
     return count
-
-
-def _of_fleet(path: Path) -> Path:
-    if not path.is_dir():
-        return path
-    found = recordings(path, "fleet")
-    if not found:
-        raise ConfigError(f"{path}: has no recording of a fleet; give what `aucamp record` wrote, or a demo's folder")
-    return found[0]

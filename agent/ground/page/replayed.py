@@ -22,11 +22,10 @@ from agent.core.codec import Refusal
 from agent.core.config import ConfigError, Fleet
 from agent.core.topics import Topic
 from agent.ground.page.rows import CAME, KEPT, LINES, SELDOM_NS, Board, Rows, text
-from replay.check.reexecute import recordings
 from replay.files.channels import network_topic
 from replay.files.info import suspecting
 from replay.files.log import read
-from replay.report.timeline import open_fleet_file, open_run, surveyed
+from replay.report.timeline import fleet_recording, open_fleet_file, open_run, surveyed
 
 # --- a recording laid out ---
 # A recording of a fleet, laid out so that any moment of it can be shown: rows by time, their payloads on the disk.
@@ -47,7 +46,7 @@ class Reel:
 
     def __init__(self, path: Path) -> None:
         """`path`: a recording of a fleet, or the folder of a run with one in it. Raises ConfigError for others."""
-        self.file = fleet_file(path)
+        self.file = fleet_recording(path)
         self.fleet: Fleet = open_fleet_file(self.file).fleet
         self.times_ns: list[int] = []
         self._rows: list[Row] = []
@@ -103,16 +102,6 @@ class Reel:
         """The last lines by then, in their order."""
         last = bisect_right(self._lines, at_ns, key=lambda number: self.times_ns[number])
         yield from (self._rows[number] for number in self._lines[max(0, last - most) : last])
-
-
-def fleet_file(path: Path) -> Path:
-    """The recording of the fleet that a path stands for. Raises ConfigError where there is none."""
-    if not path.is_dir():
-        return path
-    found = recordings(path, "fleet")
-    if not found:
-        raise ConfigError(f"{path}: has no recording of a fleet in it; give the folder of a run, or what record wrote")
-    return found[0]
 
 
 # --- the cursor ---
