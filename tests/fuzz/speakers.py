@@ -50,7 +50,8 @@ def decoders() -> tuple[Decoder, ...]:
     fleet = fleet_of(Scene())
     pages = Pages(fleet)
     return (
-        Decoder("orders", partial(_orders, fleet), _sequence, MSGPACK, share=0.5),
+        # A payload is up to 90 steps of a robot, each a millisecond.
+        Decoder("orders", partial(_orders, fleet), _sequence, MSGPACK, share=0.5, slow_s=1.0),
         Decoder("answers", partial(_answers, fleet), _replies, MSGPACK),
         Decoder("samples", partial(_samples, fleet), _keyed, MSGPACK),
         Decoder("sessions", lambda data: _shown([data]), _session, JSON),
