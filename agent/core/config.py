@@ -320,6 +320,8 @@ class Twin(Struct, frozen=True, kw_only=True):
     # faults of all cameras, on the bench and in the dive
     stamp_late_ms: Annotated[float, Meta(ge=0, le=200)] = 0.0  # by which frames are stamped after they were exposed
     lens_slow_ms: Annotated[float, Meta(ge=0, le=500)] = 0.0  # in which the lens goes 95 % of its way
+    sensor_tilt_deg: Annotated[float, Meta(ge=0, le=2)] = 0.0  # by which sensors are not square to the optical axis
+    field_um: Annotated[float, Meta(ge=-50, le=50)] = 0.0  # by which the field is curved at the picture's corner
     seed: Annotated[int, Meta(ge=0)] = 0
     dir: str | None = None
 

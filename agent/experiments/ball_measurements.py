@@ -88,7 +88,7 @@ class PosedRobot:
     def focus_rows(self) -> list[FocusRow]:
         """Its first part: the sharpest lens position at each distance."""
         camera = TimedCamera(self, TimingFit(), lambda: 0)
-        return focus_rows(self._fleet, camera, self.focus_range(), self._bench.place, lambda done, total: None)
+        return focus_rows(self._fleet, camera, self.focus_range(), self._bench.place, lambda done, total: None)[0]
 
     def submerge(self, water: WaterKind, solids: tuple[Solid, ...], tags: Sequence[PaintedTag] = ()) -> None:
         """Hours later, in this kind of water, before these solids and tags alone."""

@@ -24,6 +24,7 @@ from agent.core.ranging.focus import (
     NoPeak,
     fit_peak,
     h,
+    in_direction,
     phase_sigma,
     port_share,
     range_variance,
@@ -46,8 +47,10 @@ Corner = tuple[float, float]
 
 def z_depth(focus: FocusFit, camera: CameraFit | None, rho: float, px: tuple[float, float]) -> float | None:
     """From the pivot, along the axis, of what is sharp at rho and seen at a pixel; None: sharp at infinity."""
-    u_m = h(focus, rho)
-    return u_m if u_m is None or camera is None else through_port(u_m, port_share(camera, px))
+    if camera is None:
+        return h(focus, rho)
+    u_m = h(in_direction(focus, camera, px), rho)
+    return None if u_m is None else through_port(u_m, port_share(camera, px))
 
 
 class Reason(IntEnum):
@@ -408,7 +411,9 @@ def box_range(
     range_m = z_depth(focus, camera, peak.lens_position, box.centre_px)
     if range_m is None:
         return NoPeak(f"the peak at {peak.lens_position:.0f} is sharp beyond all ranges of this calibration")
-    share = 1.0 if camera is None else port_share(camera, box.centre_px)
+    share = 1.0
+    if camera is not None:
+        focus, share = in_direction(focus, camera, box.centre_px), port_share(camera, box.centre_px)
     sigma_m = math.sqrt(sum(range_variance(focus, peak.lens_position, sigma))) / share
     return found._replace(range_m=range_m, range_sigma_m=sigma_m)
 

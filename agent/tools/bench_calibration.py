@@ -11,14 +11,16 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import msgspec
 import numpy as np
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from rich.console import Console
 
@@ -34,8 +36,10 @@ from agent.core.ranging.focus import (
     as_on_axis,
     fit_peak,
     lens_position,
+    offset,
     phase_sigma,
     port_share,
+    shift,
     with_sag,
 )
 from agent.core.step_io import SetPoint
@@ -45,7 +49,7 @@ from agent.process.command import Progress, Show, temporary_folder, with_bar, wi
 from agent.process.launch import crew, wait_for
 from agent.robot.fleet_reader import load_fleet, load_robot
 from agent.tools.camera_calibration import Corner, fit_camera
-from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus
+from agent.tools.focus_calibration import Aside, CalibrationRefused, FocusRow, fit_field, fit_focus
 from hw.camera import open_camera
 from hw.camera.camera import Camera, FocusRange, Roi
 from hw.module import open_module
@@ -57,6 +61,11 @@ Place = Callable[[Vector | None, tuple[int, int]], None]  # board's centre about
 
 NEAREST_M, FARTHEST_M, DISTANCES = 0.22, 1.2, 16  # equal steps of 1/u, as the lens sees them
 SWEEP_PX = (280, 200)  # the picture's middle that a sweep reads: nearly all of the board at the far end
+WHOLE = (
+    6,
+    10,
+)  # the distances, counted from 1, at which all of the picture is read: 0.48 and 0.33 m, full of the board
+BLOCK_PX = 64  # side of the places that tell how peaks aside differ
 FLANKS = 1.5  # half widths on either side of the peak that the grain is fitted over
 EDGE_SHARE, EDGE_RIM_PX = 0.3, 3  # of the steepest slope; leaves a fifth of the picture to the grain at 1.2 m
 HOMING_S = 0.2  # the lens across its whole range
@@ -85,9 +94,9 @@ def calibrate(
     if limits is not None and wait is not None:
         timing = measure_timing(fleet, camera, limits, place, wait)
     timed = TimedCamera(camera, timing, (lambda: 0) if wait is None else (lambda: wait(0.0)))
-    rows: list[FocusRow] = []
+    rows, seen_aside = list[FocusRow](), list[SeenAside]()
     if limits is not None:
-        rows = focus_rows(fleet, timed, limits, place, lambda done, _: progress(done, SETTINGS))
+        rows, seen_aside = focus_rows(fleet, timed, limits, place, lambda done, _: progress(done, SETTINGS))
         focus = fit_focus(rows)  # near enough to find the board by
     corners: list[Corner] = []
     for done, view in enumerate(views(fleet, timed, focus, place), start=DISTANCES):
@@ -95,8 +104,10 @@ def calibrate(
         progress(done + 1, SETTINGS)
     seen = fit_camera(corners, fleet.body, camera.size)
     if focus is not None and limits is not None:
-        share = window_share(seen)
-        focus = fit_focus([row._replace(u_m=as_on_axis(row.u_m, share)) for row in rows])
+        rows = [row._replace(u_m=as_on_axis(row.u_m, window_share(seen))) for row in rows]
+        field = fit_field(fit_focus(rows), on_board(seen_aside, fleet, seen))
+        in_window = over_window(seen, lambda px: shift(field, offset(seen, px)))
+        focus = replace(fit_focus([row._replace(rho=row.rho - in_window) for row in rows]), field=field)
         tilted = tilted_peaks(fleet, timed, limits, seen, place, lambda done, _: progress(LOOKS + done, SETTINGS))
         focus = with_sag(focus, tilted)
     centre_us = round(fleet.body.servo_centre_us)
@@ -120,19 +131,33 @@ def setting(done: int) -> str:
     return f"view up or down {done - LOOKS + 1} of {SETTINGS - LOOKS}" if done < SETTINGS else "done"
 
 
+class SeenAside(NamedTuple):
+    """A peak somewhere in the picture of a board at a distance, or beside the board."""
+
+    sweep: int
+    ahead_m: float  # of the board
+    px: tuple[float, float]
+    peak: Peak
+
+
 def focus_rows(
     fleet: Fleet, camera: TimedCamera, limits: FocusRange, place: Place, progress: Progress
-) -> list[FocusRow]:
-    """The sharpest lens position at each distance; a distance without a clear peak is left out."""
-    rows: list[FocusRow] = []
+) -> tuple[list[FocusRow], list[SeenAside]]:
+    """The sharpest lens position at each distance; a distance without a clear peak is left out. And at some of them
+    that of each place in the picture."""
+    rows, aside = list[FocusRow](), list[SeenAside]()
     centre_us = round(fleet.body.servo_centre_us)
     for done, u_m in enumerate(1.0 / np.linspace(1.0 / FARTHEST_M, 1.0 / NEAREST_M, DISTANCES), start=1):
         approach(place, (float(u_m), 0.0, 0.0), (centre_us, centre_us))
-        peak = board_peak(camera, limits, fleet.camera.sweep_steps, fleet.camera.settle_s)
+        part = Roi(0, 0, *camera.size) if done in WHOLE else middle_of(camera.size)
+        swept = sweep_board(camera, limits, part, fleet.camera.sweep_steps, fleet.camera.settle_s)
+        peak = board_peak(swept, middle_of(camera.size))
         if peak is not None:
             rows.append(FocusRow(float(u_m), peak.lens_position, peak.width, peak.sigma))
+        if done in WHOLE:
+            aside += [SeenAside(done, float(u_m), px, found) for px, found in peaks_aside(swept)]
         progress(done, DISTANCES)
-    return rows
+    return rows, aside
 
 
 def tilted_peaks(
@@ -148,7 +173,9 @@ def tilted_peaks(
         us = level_us[0], servos_us(seen, body, 0.0, tilt_deg)[1]
         tilt = math.radians(gimbal_deg(seen, body, us)[1])
         approach(place, (ahead_m, 0.0, ahead_m * math.tan(tilt)), us)
-        peak = board_peak(camera, limits, fleet.camera.sweep_steps, fleet.camera.settle_s)
+        middle = middle_of(camera.size)
+        swept = sweep_board(camera, limits, middle, fleet.camera.sweep_steps, fleet.camera.settle_s)
+        peak = board_peak(swept, middle)
         if peak is not None:
             u_m = ahead_m / (math.cos(tilt) + y / z * math.sin(tilt))
             peaks.append(TiltedPeak(as_on_axis(u_m, window_share(seen)), peak.lens_position, tilt))
@@ -157,34 +184,74 @@ def tilted_peaks(
 
 
 def window_share(seen: CameraFit) -> float:
-    """K of the part of the picture in which a board is read, as pixels count there."""
+    """K of the part of the picture in which a board is read."""
+    return over_window(seen, lambda px: port_share(seen, px))
+
+
+def over_window(seen: CameraFit, of_px: Callable[[tuple[float, float]], float]) -> float:
+    """The mean of something over the part of the picture in which a board is read, as pixels count there."""
     x, y, width, height = middle_of((seen.width_px, seen.height_px))
     fades = np.hanning(COARSE_PX + 2)[1:-1]
-    shares = [
+    values = [
         [
-            port_share(seen, (x + (i + 0.5) * width / COARSE_PX - 0.5, y + (j + 0.5) * height / COARSE_PX - 0.5))
+            of_px((x + (i + 0.5) * width / COARSE_PX - 0.5, y + (j + 0.5) * height / COARSE_PX - 0.5))
             for i in range(COARSE_PX)
         ]
         for j in range(COARSE_PX)
     ]
-    return float(np.average(shares, weights=np.outer(fades, fades)))
+    return float(np.average(values, weights=np.outer(fades, fades)))
 
 
-def board_peak(camera: TimedCamera, limits: FocusRange, steps: int, settle_s: float) -> Peak | None:
-    """Sweep once over the whole range of the lens; where the grain of the board is sharpest, if anywhere.
+def on_board(found: Sequence[SeenAside], fleet: Fleet, seen: CameraFit) -> list[Aside]:
+    """Those that lie on the board, with the depth that it has there: the gimbal's zero turns it a little."""
+    centre_us = fleet.body.servo_centre_us
+    pan, tilt = (math.radians(deg) for deg in gimbal_deg(seen, fleet.body, (centre_us, centre_us)))
+    half_m = (COLUMNS + 1) * SQUARE_M / 2, (ROWS + 1) * SQUARE_M / 2
+    places: list[Aside] = []
+    for sweep, ahead_m, px, peak in found:
+        m = ray(seen, px)
+        x, y = m[0] / m[2], m[1] / m[2]
+        across = x * math.sin(pan) + y * math.sin(tilt) * math.cos(pan)
+        z_m = (ahead_m + seen.ahead_m * across) / (math.cos(pan) * math.cos(tilt) + across)
+        rim_m = BLOCK_PX / seen.f_px * z_m
+        left_m = z_m * math.sin(pan) - (z_m - seen.ahead_m) * x
+        up_m = z_m * math.sin(tilt) - (z_m - seen.ahead_m) * y
+        if abs(left_m) < half_m[0] - rim_m and abs(up_m) < half_m[1] - rim_m:
+            u_m = as_on_axis(z_m, port_share(seen, px))
+            places.append(Aside(sweep, u_m, offset(seen, px), peak.lens_position, peak.sigma))
+    return places
+
+
+class BoardSweep(NamedTuple):
+    """Grey pictures of a part of the frame, one a lens position."""
+
+    part: Roi
+    lens_positions: list[float]
+    pictures: list[NDArray[np.uint8]]
+
+
+def sweep_board(camera: TimedCamera, limits: FocusRange, part: Roi, steps: int, settle_s: float) -> BoardSweep:
+    """Sweep once over the whole range of the lens."""
+    home(camera, limits, part)
+    lens_positions, pictures = list[float](), list[NDArray[np.uint8]]()
+    for wanted in np.linspace(limits.lowest, limits.highest, steps):
+        reported = camera.set_focus(round(wanted))
+        frame = camera.read(part, settle_s=settle_s)
+        lens_positions.append(camera.lens_position(frame.t_ns) or reported)
+        pictures.append(luminance(frame.image))
+    return BoardSweep(part, lens_positions, pictures)
+
+
+def board_peak(swept: BoardSweep, part: Roi) -> Peak | None:
+    """Where the grain of the board is sharpest in a part of the picture, if anywhere.
 
     Grain, not edges: a board square to the camera has all its edges at one phase of the pixel grid, and the image
     grows by percents as the lens moves, so edges gain and lose gradient during the sweep. On the twin that scatters
     peaks by 2.6 lens positions, 5 mm at half a metre; the grain alone repeats to 0.5.
     """
-    middle = middle_of(camera.size)
-    home(camera, limits, middle)
-    lens_positions, pictures = [], []
-    for wanted in np.linspace(limits.lowest, limits.highest, steps):
-        reported = camera.set_focus(round(wanted))
-        frame = camera.read(middle, settle_s=settle_s)
-        lens_positions.append(camera.lens_position(frame.t_ns) or reported)
-        pictures.append(luminance(frame.image))
+    x, y = part.x - swept.part.x, part.y - swept.part.y
+    lens_positions = swept.lens_positions
+    pictures = [picture[y : y + part.height, x : x + part.width] for picture in swept.pictures]
     window = np.outer(*map(np.hanning, pictures[0].shape))  # what grows over the border leaves no step
     energies = [gradient_energy(picture) for picture in pictures]
     clarity = [float((energy * window).sum()) for energy in energies]
@@ -201,6 +268,17 @@ def board_peak(camera: TimedCamera, limits: FocusRange, steps: int, settle_s: fl
         return None
     area_px = float(window.sum() ** 2 / (window * window).sum())  # what is left of the grain at 1.2 m is little
     return fine._replace(sigma=math.hypot(fine.sigma, phase_sigma(fine.width, area_px)))
+
+
+def peaks_aside(swept: BoardSweep) -> list[tuple[tuple[float, float], Peak]]:
+    """Peaks of the grain all over the picture, by blocks, with their middles."""
+    x, y, width, height = swept.part
+    corners = itertools.product(
+        range(x, x + width - BLOCK_PX + 1, BLOCK_PX), range(y, y + height - BLOCK_PX + 1, BLOCK_PX)
+    )
+    found = ((corner, board_peak(swept, Roi(*corner, BLOCK_PX, BLOCK_PX))) for corner in corners)
+    middle = (BLOCK_PX - 1) / 2
+    return [((left + middle, top + middle), peak) for (left, top), peak in found if peak is not None]
 
 
 def middle_of(size: tuple[int, int]) -> Roi:

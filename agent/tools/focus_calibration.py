@@ -11,18 +11,28 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 import tomli_w
 from matplotlib.figure import Figure
+from msgspec.structs import replace
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from agent.core.config import ConfigError, read_toml, write_whole
+from agent.core.config import ConfigError, convert, read_toml, write_whole
 from agent.core.linear_algebra import upper
-from agent.core.messages import Symmetric
-from agent.core.ranging.camera_model import FocusFit
-from agent.core.ranging.focus import TiltedPeak, range_variance, with_sag
+from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit
+from agent.core.ranging.focus import (
+    TiltedPeak,
+    as_on_axis,
+    lens_position,
+    offset,
+    port_share,
+    range_variance,
+    shift,
+    with_sag,
+)
 from agent.process.command import Failed, free_name
 from hw.camera.files import read_rows
 
@@ -40,6 +50,7 @@ MIN_SPAN_PER_M = 2.0  # of 1/u: a shorter arc of a hyperbola is a straight line
 HUBER = 1.5  # residuals beyond so many standard deviations pull with constant force
 HUBER_SHARE = 0.778  # what that leaves of the variance of Gaussian residuals
 PASSES = 25
+FIELD_PASSES = 4  # over curve and field in turn
 NOISE_FLOOR = 5e-5  # of the positions' span: half a tenth of a step for a driver of 10 bits, none repeats better
 
 
@@ -90,6 +101,32 @@ def fit_focus(rows: Sequence[FocusRow]) -> FocusFit:
         rmse_m=math.sqrt(float((error_m**2).mean())),
         held_out_rmse_m=math.sqrt(float((held_out_m**2).mean())),
     )
+
+
+class Aside(NamedTuple):
+    """The peak of one place in the picture, of a sweep that shows many."""
+
+    sweep: int
+    u_m: float  # z-depth from the pivot of what is seen there, as h(rho) on the axis takes it: see `focus.as_on_axis`
+    offset: tuple[float, float]  # where it is seen, right and down of the optical axis, in f_px
+    rho: float
+    sigma: float  # of rho beside that of the other places
+
+
+def fit_field(fit: FocusFit, places: Sequence[Aside]) -> FieldFit:
+    """How peaks aside differ from those on the axis. Each sweep has a shift of its own: no lens comes back quite to
+    where it was. Raises CalibrationRefused."""
+    sweeps = sorted({place.sweep for place in places})
+    x, y = np.array([place.offset for place in places]).T
+    sigma = np.array([place.sigma for place in places])
+    trust = float(np.median(sigma)) / sigma
+    off = np.array([place.rho - lens_position(fit, place.u_m) for place in places])
+    own = np.array([[place.sweep == sweep for place in places] for sweep in sweeps], float)
+    J = trust * np.concatenate([np.stack([x, y, x * x + y * y]), own])  # (3 + sweeps, places)
+    p, normal, weights = gauss_newton(np.zeros(len(J)), lambda p: p @ J - trust * off, lambda p: J)
+    noise = max(scale(weights * (p @ J - trust * off), len(J)), NOISE_FLOOR * float(fit.highest - fit.lowest))
+    known = noise * noise * solve(normal, np.eye(len(J)))
+    return FieldFit(right=float(p[0]), down=float(p[1]), curved=float(p[2]), covariance=upper(known[:3, :3]))
 
 
 class LeftOut(NamedTuple):
@@ -222,7 +259,19 @@ def put(path: Path, table: str, fields: dict[str, Any], source: Path) -> str:
 # --- the table of ranges ---
 
 REQUIRED = ("u_mm", "code")
-OPTIONAL = ("camera", "direction", "repeat", "score", "width", "tilt_deg", "temp_c", "medium", "sweep_id")
+OPTIONAL = (
+    "camera",
+    "direction",
+    "repeat",
+    "score",
+    "width",
+    "tilt_deg",
+    "temp_c",
+    "medium",
+    "sweep_id",
+    "x_px",
+    "y_px",
+)
 LEVEL_DEG = 3.0  # a lens that looks up or down by less sags by 0.3 lens positions, within the noise of a peak
 GOOD_LEFT_OUT = 0.05  # share of the range: a distance that the others foretell worse is named in the verdict
 
@@ -246,9 +295,13 @@ class PaperGauge(NamedTuple):
 
 def run(table: Path, out: Path | None, console: Console) -> FocusFit:
     """Fit, print, plot beside the table, and put the fit into `out` if given. Raises ConfigError, one line."""
-    rows, tilted = read_table(table)
+    before = {} if out is None else check_file(out)
+    rows, tilted, places = read_table(table)
     try:
-        fit, left_out = with_sag(fit_focus(rows), tilted), leave_one_out(rows)
+        field = None
+        if places:
+            rows, field = without_field(rows, places, _camera_in(before, table))
+        fit, left_out = with_sag(replace(fit_focus(rows), field=field), tilted), leave_one_out(rows)
     except CalibrationRefused as error:
         raise ConfigError(f"{table}: {error}") from None
     known = [(row.u_m, range_share(fit, row.rho)) for row in rows]
@@ -258,8 +311,6 @@ def run(table: Path, out: Path | None, console: Console) -> FocusFit:
             f"{table}: these peaks determine a range of {worst_m:.2f} m to {100 * share:.0f} % only, and "
             f"{100 * MOST_SHARE:.0f} % is needed: measure at more distances, nearer ones among them"
         )
-    if out is not None:
-        check_file(out)
     console.print(result_table(fit, left_out))
     console.print(verdict(fit, left_out))
     picture = free_name(table.with_suffix(".png"))
@@ -270,11 +321,50 @@ def run(table: Path, out: Path | None, console: Console) -> FocusFit:
     return fit
 
 
+def _camera_in(calibration: dict[str, Any], table: Path) -> CameraFit:
+    """[camera] of a calibration file, which says where a pixel looks. Raises ConfigError."""
+    if "camera" not in calibration:
+        raise ConfigError(
+            f"{table}: columns x_px and y_px need [camera] in the file of --out; measure it first, by "
+            "`aucamp calibrate camera`"
+        )
+    return convert(calibration["camera"], CameraFit, table)
+
+
+def without_field(
+    rows: Sequence[FocusRow], places: Sequence[Place], camera: CameraFit
+) -> tuple[list[FocusRow], FieldFit]:
+    """Peaks of places all over the picture as they would be on the axis, and the field. Raises CalibrationRefused."""
+    plain = [
+        row._replace(u_m=as_on_axis(row.u_m, port_share(camera, px))) for row, (_, px) in zip(rows, places, strict=True)
+    ]
+    aside = [offset(camera, px) for _, px in places]
+    on_axis, field = plain, None
+    for _ in range(FIELD_PASSES):
+        fit = fit_focus(on_axis)
+        seen = [
+            Aside(sweep, row.u_m, at, row.rho, row.sigma)
+            for row, at, (sweep, _) in zip(plain, aside, places, strict=True)
+        ]
+        field = fit_field(fit, seen)
+        on_axis = [row._replace(rho=row.rho - shift(field, at)) for row, at in zip(plain, aside, strict=True)]
+    assert field is not None
+    return on_axis, field
+
+
+class Place(NamedTuple):
+    """Where in which sweep the peak of a row was taken."""
+
+    sweep: int
+    px: tuple[float, float]
+
+
 class Measured(NamedTuple):
     """The rows of a table: those of a level camera, which the curve is fitted to, and the others."""
 
     level: list[FocusRow]
     tilted: list[TiltedPeak]
+    places: list[Place]  # of those of the level camera; none where the table does not say
 
 
 def read_table(path: Path) -> Measured:
@@ -295,7 +385,10 @@ def read_table(path: Path) -> Measured:
         values = sorted({line.get(column) or "" for line in lines})
         if len(values) > 1:
             raise ConfigError(f"{path}: column '{column}' mixes {', '.join(values)}; fit each by itself")
-    rows, tilted = [], []
+    if ("x_px" in header) != ("y_px" in header):
+        raise ConfigError(f"{path}: columns x_px and y_px belong together; give both or none")
+    sweeps = sorted({line.get("sweep_id") or "" for line in lines})
+    rows, tilted, places = list[FocusRow](), list[TiltedPeak](), list[Place]()
     for number, line in numbered:
         u_mm, code = (_number(path, number, column, line[column]) for column in REQUIRED)
         if u_mm <= 0:
@@ -306,11 +399,15 @@ def read_table(path: Path) -> Measured:
             continue
         width = _number(path, number, "width", line["width"]) if line.get("width") else math.nan
         rows.append(FocusRow(u_mm * 1e-3, code, width))
+        if "x_px" in header:
+            x, y = (_number(path, number, column, line[column]) for column in ("x_px", "y_px"))
+            places.append(Place(sweeps.index(line.get("sweep_id") or ""), (x, y)))
     _check_ranges(path, [row.u_m for row in rows])
     known = [row.width for row in rows if math.isfinite(row.width)]
     rho = [row.rho for row in rows] or [0.0]
     typical = float(np.median(known)) if known else 0.1 * (max(rho) - min(rho))
-    return Measured([row if math.isfinite(row.width) else row._replace(width=typical) for row in rows], tilted)
+    rows = [row if math.isfinite(row.width) else row._replace(width=typical) for row in rows]
+    return Measured(rows, tilted, places)
 
 
 NEAR_M, FAR_M = 0.15, 20.0  # the farthest board is farther than this, and no board is farther than that
@@ -397,9 +494,7 @@ def figure(rows: Sequence[FocusRow], fit: FocusFit, left_out: Sequence[LeftOut])
 
 
 def _fields(fit: FocusFit) -> dict[str, Any]:
-    covariance: Symmetric = fit.covariance
-    known = {name: getattr(fit, name) for name in fit.__struct_fields__ if getattr(fit, name) is not None}
-    return known | {"covariance": list(covariance)}
+    return {name: value for name, value in msgspec.to_builtins(fit).items() if value is not None}
 
 
 def _number(path: Path, line: int, column: str, text: str | None) -> float:

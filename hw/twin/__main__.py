@@ -25,7 +25,7 @@ from hw.twin.calibration_bench import Bench, serve
 from hw.twin.camera_device import FRAME_NS, DiveCamera, FrameClock
 from hw.twin.creatures import Lookout
 from hw.twin.dive import Dive, run_by_clock
-from hw.twin.optics.lens import Lens, Vcm, draw_lens
+from hw.twin.optics.lens import Lens, Vcm, draw_lens, with_field
 from hw.twin.optics.painter import Painter
 from hw.twin.physics.body import euler_rad
 from hw.twin.physics.tank import TICK_NS
@@ -138,8 +138,9 @@ def _calibrate(fleet: Fleet, robot: str, folder: Path, stop: threading.Event, st
 
 def _optics(fleet: Fleet, scene: Scene, robot: str, tags: Sequence[PaintedTag] = ()) -> tuple[Lens, Vcm, Painter]:
     """The camera that this robot has in this world, the same on the bench and in the dive."""
-    seed = fleet.twin.seed
+    twin, seed = fleet.twin, fleet.twin.seed
     lens = draw_lens(scene.camera, generator(seed, robot, "lens"))
+    lens = with_field(lens, twin.sensor_tilt_deg, twin.field_um, generator(seed, robot, "sensor"))
     painter = Painter(scene, fleet.tank, fleet.water.refractive_index, lens, seed, robot, tags)
     painter.prepare()
     return lens, Vcm(lens, generator(seed, robot, "vcm"), 1e-3 * fleet.twin.lens_slow_ms), painter

@@ -129,6 +129,7 @@ def test_range_is_right_to_a_few_millimetres(measured):
 
 def test_a_tilted_board_is_as_far_as_where_the_middle_of_the_picture_shows_it(fleet, monkeypatch):
     seen, middle = replace(CAMERA, cx_px=316.0, cy_px=232.0, tilt_zero_deg=0.6), (319.5, 239.5)
+    monkeypatch.setattr(bench_calibration, "sweep_board", lambda *_: None)
     monkeypatch.setattr(bench_calibration, "board_peak", lambda *_: Peak(400.0, 0.1, 100.0, 1.0))
     pose, body = Pose(x_m=0.0, y_m=0.0, yaw_deg=0.0), replace(fleet.body, camera_m=(0.0, 0.0, 0.0))
     boards = []

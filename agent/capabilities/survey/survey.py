@@ -80,6 +80,7 @@ from agent.core.ranging.camera_model import (
 from agent.core.ranging.focus import (
     at_tilt,
     h,
+    in_direction,
     lens_position,
     phase_sigma,
     range_variance,
@@ -153,14 +154,18 @@ def frame_of(
     depths: list[float | None] = [None] * count
     sigmas = [0.0] * count
     for k, position, sigma in peaks.peaks:
-        if k < count and (sharp_m := h(fit, position)) is not None:
+        if k >= count:
+            continue
+        middle_px = (k % lens.cols + 0.5) * lens.block - 0.5, (k // lens.cols + 0.5) * lens.block - 0.5
+        aside = in_direction(fit, calibration.camera, middle_px)
+        if (sharp_m := h(aside, position)) is not None:
             x, y = slopes[k]
             share = share_at(calibration.camera, 1.0 / math.sqrt(1.0 + x * x + y * y))
             z_m = through_port(sharp_m, share)
             there = to_world(eye, (x * (z_m - ahead_m), y * (z_m - ahead_m), z_m))
             if any(_is_at(there, hull_m) for hull_m in hulls_m):
                 continue
-            depths[k], sigmas[k] = z_m, math.sqrt(sum(range_variance(fit, position, sigma))) / share
+            depths[k], sigmas[k] = z_m, math.sqrt(sum(range_variance(aside, position, sigma))) / share
     if all(z_m is None for z_m in depths):
         return None
     packed = quantised(Blocks(lens.cols, tuple(depths), tuple(sigmas)))

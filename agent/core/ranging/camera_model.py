@@ -30,6 +30,16 @@ NO_FOCUS = (
 )
 
 
+class FieldFit(Struct, frozen=True, kw_only=True):
+    """How peaks aside differ from those on the optical axis, lens positions: a sensor that is not square to the axis
+    tilts the plane that is sharp, and a lens curves it. See `focus.in_direction`."""
+
+    right: float  # at f_px to the right of the axis
+    down: float  # and as far below it
+    curved: float  # and as far in any direction; grows with the square of the distance
+    covariance: Symmetric  # of these three
+
+
 class FocusFit(Struct, frozen=True, kw_only=True):
     """h(rho) = u_inf + b / (rho - rho0): z-depth from the gimbal pivot, in water, against the lens position.
 
@@ -49,6 +59,7 @@ class FocusFit(Struct, frozen=True, kw_only=True):
     held_out_rmse_m: float
     sag: float = 0.0  # lens positions by which peaks shift when the camera looks straight up: see `focus.at_tilt`
     sag_sigma: float | None = None  # standard deviation of that; None: not measured
+    field: FieldFit | None = None  # None: not measured, and taken for flat
 
     def __post_init__(self) -> None:
         if self.b_m == 0.0:

@@ -31,7 +31,7 @@ from agent.core.ranging.camera_model import (
     slopes_per_px,
     to_camera,
 )
-from agent.core.ranging.focus import at_tilt, h, port_share, range_variance, through_port
+from agent.core.ranging.focus import at_tilt, h, in_direction, port_share, range_variance, through_port
 from agent.core.target_state import bearing, ranged
 from agent.core.verdict import Ratio
 
@@ -243,7 +243,7 @@ def focus_range(
 
     Of a thing without known shape the skin is all there is.
     """
-    fit = at_tilt(fit, tilt_rad)
+    fit = in_direction(at_tilt(fit, tilt_rad), camera, centre_px)
     sharp_m = h(fit, rho)
     if sharp_m is None:
         return None

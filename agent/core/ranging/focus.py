@@ -18,7 +18,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agent.core.ranging.camera_model import CameraFit, FocusFit, ray
+from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit, ray
 
 Array = NDArray[np.float64]
 Method = Literal["matched", "parabola", "argmax"]
@@ -354,8 +354,13 @@ def at_tilt(fit: FocusFit, tilt_rad: float) -> FocusFit:
     joins the variance of rho0, hence what does not average out."""
     up = math.sin(tilt_rad)
     sigma = UNKNOWN_SAG * fit.width if fit.sag_sigma is None else fit.sag_sigma
+    return _shifted(fit, fit.sag * up, (sigma * up) ** 2)
+
+
+def _shifted(fit: FocusFit, by: float, variance: float) -> FocusFit:
+    """A lens all of whose peaks lie elsewhere by so much."""
     xx, xy, xz, yy, yz, zz = fit.covariance
-    return replace(fit, rho0=fit.rho0 + fit.sag * up, covariance=(xx, xy, xz, yy, yz, zz + (sigma * up) ** 2))
+    return replace(fit, rho0=fit.rho0 + by, covariance=(xx, xy, xz, yy, yz, zz + variance))
 
 
 def with_sag(fit: FocusFit, peaks: Sequence[TiltedPeak]) -> FocusFit:
@@ -374,3 +379,34 @@ def with_sag(fit: FocusFit, peaks: Sequence[TiltedPeak]) -> FocusFit:
     rest = sum((r - mean_shift - sag * (s - mean_up)) ** 2 for s, r in zip(up, shift, strict=True))
     noise = max(math.sqrt(rest / (len(peaks) - 2)), fit.noise)
     return replace(fit, sag=sag, sag_sigma=noise / math.sqrt(spread))
+
+
+# --- field: what is sharp aside ---
+# A sensor that is not square to the optical axis tilts the plane that is sharp, and most lenses curve it. On the sensor
+# both are the same at all distances: the peaks of a direction are shifted by one number of lens positions. A dome in
+# water has a curved field, too, with the same form.
+#
+# The share K of a flat port is no part of it: that is a factor of the depth.
+
+
+def offset(camera: CameraFit, px: tuple[float, float]) -> tuple[float, float]:
+    """(right, down) of a pixel, from the optical axis in f_px."""
+    return (px[0] - camera.cx_px) / camera.f_px, (px[1] - camera.cy_px) / camera.f_px
+
+
+def in_direction(fit: FocusFit, camera: CameraFit, px: tuple[float, float]) -> FocusFit:
+    """The lens as it is in the direction of a pixel. How well the field is known joins the variance of rho0."""
+    field = fit.field
+    if field is None:
+        return fit
+    x, y = offset(camera, px)
+    r2 = x * x + y * y
+    xx, xy, xr, yy, yr, rr = field.covariance
+    variance = x * x * xx + y * y * yy + r2 * r2 * rr + 2.0 * (x * y * xy + x * r2 * xr + y * r2 * yr)
+    return _shifted(fit, shift(field, (x, y)), max(variance, 0.0))
+
+
+def shift(field: FieldFit, aside: tuple[float, float]) -> float:
+    """Lens positions by which the peaks of an `offset` lie beyond those on the axis."""
+    x, y = aside
+    return field.right * x + field.down * y + field.curved * (x * x + y * y)

@@ -148,6 +148,17 @@ def nearer(lens: Lens, image_distance_m: float, index: float, corner: tuple[int,
     return np.asarray(2.0 / (1.0 / across + 1.0 / across**3), np.float32)
 
 
+def aside_m(lens: Lens, corner: tuple[int, int], size: tuple[int, int]) -> Floats | None:
+    """(h, w): how much farther than on the axis the sensor is from what is sharp there; None where it is everywhere as
+    far."""
+    if lens.lean == (0.0, 0.0) and lens.curved_per_m == 0.0:
+        return None
+    (x0, y0), (height, width) = corner, size
+    x = (np.arange(x0, x0 + width) - lens.centre_px[0]) * lens.pixel_m
+    y = ((np.arange(y0, y0 + height) - lens.centre_px[1]) * lens.pixel_m)[:, None]
+    return np.asarray(lens.lean[0] * x + lens.lean[1] * y - lens.curved_per_m * (x * x + y * y), np.float32)
+
+
 def circles(
     depth_m: Floats,
     lens: Lens,
@@ -155,10 +166,14 @@ def circles(
     index: float,
     largest_px: float,
     share: Floats | float = 1.0,
+    off_m: Floats | None = None,
 ) -> Floats:
-    """Radius of the circle of confusion, px, of each z-depth; at most `largest_px`. share: as `nearer` has it."""
+    """Radius of the circle of confusion, px, of each z-depth; at most `largest_px`. share: as `nearer` has it; off_m:
+    as `aside_m`."""
     gain = np.float32(circle_gain(lens, image_distance_m))
-    sharp = np.float32(vergence(lens, image_distance_m))
+    sharp: Any = np.float32(vergence(lens, image_distance_m))
+    if off_m is not None:  # d(1/v) = -dv / v^2, to a thousandth of dv
+        sharp = sharp + off_m / np.float32(image_distance_m**2)
     error = sharp - np.float32(1) / apparent_m(depth_m, index, lens.port_gap_m, share)
     return np.asarray(np.minimum(gain * np.abs(error), np.float32(largest_px)), np.float32)
 

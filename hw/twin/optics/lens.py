@@ -37,6 +37,8 @@ class Lens(NamedTuple):
     sag_m: float  # the lens's own weight, looking straight up
     drift_m: float  # warm-up, reached exponentially
     drift_s: float
+    lean: tuple[float, float] = (0.0, 0.0)  # of the sensor: farther from the lens by so much of the way right and down
+    curved_per_m: float = 0.0  # a curved field: what is sharp lies farther from the lens by this times distance squared
 
     @property
     def aperture_m(self) -> float:
@@ -50,6 +52,16 @@ class Lens(NamedTuple):
     def image_m(self, vergence: float) -> float:
         """Lens-to-sensor distance at which an object of `vergence` = 1/(apparent distance), dioptres, is sharp."""
         return 1.0 / (1.0 / self.focal_m - vergence)
+
+
+def with_field(lens: Lens, sensor_tilt_deg: float, field_um: float, rng: np.random.Generator) -> Lens:
+    """The lens before a sensor that leans by so much, in a direction of its own, and with a field that is curved by
+    field_um at the picture's corner."""
+    lean, towards = math.tan(math.radians(sensor_tilt_deg)), rng.uniform(0.0, 2.0 * math.pi)
+    corner_m = 0.5 * lens.pixel_m * math.hypot(lens.width, lens.height)
+    return lens._replace(
+        lean=(lean * math.cos(towards), lean * math.sin(towards)), curved_per_m=1e-6 * field_um / corner_m**2
+    )
 
 
 class Preset(NamedTuple):

@@ -21,6 +21,7 @@ from hw.twin.optics.image_formation import (
     METERING_STEP_PX,
     During,
     Exposure,
+    aside_m,
     blur,
     circles,
     coarse,
@@ -174,7 +175,8 @@ class Painter:
         x0, y0, w0, h0 = grown(part, margin(LARGEST_PX))
         depth, identity = traced(view, (x0, y0, w0, h0))
         share = nearer(self._lens, image_distance_m, self._index, (x0, y0), (h0, w0))
-        radius = circles(depth, self._lens, image_distance_m, self._index, LARGEST_PX, share)
+        off_m = aside_m(self._lens, (x0, y0), (h0, w0))
+        radius = circles(depth, self._lens, image_distance_m, self._index, LARGEST_PX, share, off_m)
 
         # Tracing is cheap and tells how much of the surroundings the blur really needs.
         inside = np.s_[y - y0 : y - y0 + height, x - x0 : x - x0 + width]

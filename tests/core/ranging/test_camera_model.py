@@ -12,6 +12,7 @@ from agent.core.config import Body, ConfigError, Pose, dump, read_toml
 from agent.core.ranging.camera_model import (
     BodyFit,
     Calibration,
+    FieldFit,
     at_lens_position,
     camera_pose,
     centre_behind_skin_m,
@@ -135,11 +136,12 @@ def numbers(value, path=()):
     return [path] if isinstance(value, int | float) else []
 
 
+FIELD = FieldFit(right=9.0, down=-5.0, curved=80.0, covariance=(0.1,) * 6)
 WHOLE = Calibration(
     robot="r1",
     made="2026-01-01",
     source="a test",
-    focus=replace(known_lens.FITTED, sag=1.0, sag_sigma=0.5),
+    focus=replace(known_lens.FITTED, sag=1.0, sag_sigma=0.5, field=FIELD),
     camera=replace(CAMERA, covariance=(0.0,) * 55),
     body=BodyFit(
         mass_kg=5.0, drag=2.0, drag2=20.0, inertia_kgm2=0.05, turn_drag=0.02, turn_drag2=0.1, lag_s=0.1,
