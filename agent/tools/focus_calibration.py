@@ -50,6 +50,8 @@ MIN_SPAN_PER_M = 2.0  # of 1/u: a shorter arc of a hyperbola is a straight line
 HUBER = 1.5  # residuals beyond so many standard deviations pull with constant force
 HUBER_SHARE = 0.778  # what that leaves of the variance of Gaussian residuals
 PASSES = 25
+FIELD_KNOWN = 0.1  # of a peak's half width, standard deviation of its shift anywhere: 10 mm at half a metre
+FIELD_UNTOLD = "these peaks do not tell the field from the curve: take each sweep all over the picture"
 FIELD_PASSES = 4  # over curve and field in turn
 NOISE_FLOOR = 5e-5  # of the positions' span: half a tenth of a step for a driver of 10 bits, none repeats better
 
@@ -122,10 +124,17 @@ def fit_field(fit: FocusFit, places: Sequence[Aside]) -> FieldFit:
     trust = float(np.median(sigma)) / sigma
     off = np.array([place.rho - lens_position(fit, place.u_m) for place in places])
     own = np.array([[place.sweep == sweep for place in places] for sweep in sweeps], float)
-    J = trust * np.concatenate([np.stack([x, y, x * x + y * y]), own])  # (3 + sweeps, places)
-    p, normal, weights = gauss_newton(np.zeros(len(J)), lambda p: p @ J - trust * off, lambda p: J)
+    terms = np.stack([x, y, x * x + y * y])
+    J = trust * np.concatenate([terms, own])  # (3 + sweeps, places)
+    try:
+        p, normal, weights = gauss_newton(np.zeros(len(J)), lambda p: p @ J - trust * off, lambda p: J)
+        inverse = solve(normal, np.eye(len(J)))
+    except CalibrationRefused:
+        raise CalibrationRefused(FIELD_UNTOLD) from None
     noise = max(scale(weights * (p @ J - trust * off), len(J)), NOISE_FLOOR * float(fit.highest - fit.lowest))
-    known = noise * noise * solve(normal, np.eye(len(J)))
+    known = noise * noise * inverse
+    if not float(np.einsum("kn,km,mn->n", terms, known[:3, :3], terms).max()) < (FIELD_KNOWN * fit.width) ** 2:
+        raise CalibrationRefused(FIELD_UNTOLD)
     return FieldFit(right=float(p[0]), down=float(p[1]), curved=float(p[2]), covariance=upper(known[:3, :3]))
 
 

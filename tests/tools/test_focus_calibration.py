@@ -4,20 +4,22 @@ import itertools
 import math
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
+from msgspec.structs import replace
 from rich.console import Console
 
 from agent.core.config import Body, ConfigError, read_toml
-from agent.core.ranging.camera_model import Calibration, CameraFit
-from agent.core.ranging.focus import h
+from agent.core.ranging.camera_model import Calibration, CameraFit, load_calibration
+from agent.core.ranging.focus import as_on_axis, h, offset, port_share
 from agent.core.ranging.sweep import full_positions
 from agent.process.command import Failed, plain_console
 from agent.tools import focus_calibration
 from agent.tools.bench_calibration import describe
 from agent.tools.camera_calibration import Corner, fit_camera
-from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus, paper_gauge, read_table, run
+from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus, paper_gauge, put, read_table, run
 
 BODY = Body()
 DISTANCES_M = 1 / np.linspace(1 / 1.2, 1 / 0.22, 12)
@@ -327,6 +329,7 @@ BAD = {
     "a range is positive": "u_mm,code\n-100,2\n",
     "mixes down, up": "u_mm,code,direction\n100,2,up\n200,3,down\n",
     "no rows": "u_mm,code\n",
+    "x_px and y_px belong together": "u_mm,code,x_px\n100,2,5\n",
     "measure at least 6": "u_mm,code\n100,2.06\n200,1.97\n300,1.94\n",
     "bring the board nearer": "u_mm,code\n" + "".join(f"{u},{1.9 + 1 / u}\n" for u in range(900, 1000, 10)),
 }
@@ -362,6 +365,48 @@ def test_tilted_rows_tell_the_sag_and_leave_the_curve_alone(tmp_path: Path) -> N
     assert both.sag == pytest.approx(5.0, abs=0.01) and plain.sag_sigma is None
     assert (both.u_inf_m, both.b_m, both.rho0) == (plain.u_inf_m, plain.b_m, plain.rho0)
     assert "sag =" in (tmp_path / "both.toml").read_text() and "sag_sigma" not in (tmp_path / "level.toml").read_text()
+
+
+CAMERA = CameraFit(width_px=640, height_px=480, f_px=1166.0, cx_px=316.0, cy_px=243.0, bend=0.39)
+PLACES_PX = ((316, 243), (40, 40), (600, 40), (40, 440), (600, 440), (316, 40), (40, 243))
+
+
+def seen_aside(path: Path, places: tuple[tuple[int, int], ...]) -> Path:
+    """Peaks of places in the picture, of a lens with a field, behind a flat port."""
+    lines = []
+    for number, u_mm in enumerate((220, 260, 320, 400, 520, 750, 1200)):
+        for px in places:
+            x, y = offset(CAMERA, px)
+            u_m = as_on_axis(u_mm / 1000, port_share(CAMERA, px))
+            lines.append(
+                f"{u_mm},{102 + 136 / u_m + 90 * x - 20 * y + 200 * (x * x + y * y):.6f},{px[0]},{px[1]},{number}"
+            )
+    path.write_text("\n".join(["u_mm,code,x_px,y_px,sweep_id", *lines, ""]))
+    return path
+
+
+def test_peaks_all_over_the_picture_tell_the_field_and_leave_the_curve_alone(tmp_path: Path) -> None:
+    put(tmp_path / "r1.toml", "camera", msgspec.to_builtins(replace(CAMERA, covariance=(0.0,) * 55)), tmp_path)
+    fit = run(seen_aside(tmp_path / "t.csv", PLACES_PX), tmp_path / "r1.toml", quiet())
+    assert (fit.u_inf_m, fit.b_m, fit.rho0) == pytest.approx((0.0, 136.0, 102.0), abs=2e-3)
+    assert fit.field is not None
+    assert (fit.field.right, fit.field.down, fit.field.curved) == pytest.approx((90.0, -20.0, 200.0), abs=0.05)
+    assert load_calibration(tmp_path / "r1.toml").swept == fit
+
+
+@pytest.mark.parametrize(("places", "camera", "says"), [
+    (PLACES_PX, False, "need [camera] in the file of --out"),
+    (PLACES_PX[:1], True, "take each sweep all over the picture"),
+    (PLACES_PX[1:2], True, "take each sweep all over the picture"),
+])  # fmt: skip
+def test_a_field_that_the_table_does_not_tell_is_refused(
+    tmp_path: Path, places: tuple[tuple[int, int], ...], camera: bool, says: str
+) -> None:
+    if camera:
+        put(tmp_path / "r1.toml", "camera", msgspec.to_builtins(replace(CAMERA, covariance=(0.0,) * 55)), tmp_path)
+    with pytest.raises(ConfigError) as caught:
+        run(seen_aside(tmp_path / "t.csv", places), tmp_path / "r1.toml", quiet())
+    assert says in str(caught.value) and "\n" not in str(caught.value)
 
 
 # --- tables as people write them ---
