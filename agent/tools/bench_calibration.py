@@ -35,6 +35,7 @@ from agent.core.ranging.focus import (
     TiltedPeak,
     as_on_axis,
     fit_peak,
+    in_direction,
     lens_position,
     offset,
     phase_sigma,
@@ -48,7 +49,7 @@ from agent.perception.vision import TimedCamera, movable
 from agent.process.command import Progress, Show, temporary_folder, with_bar, with_spinner
 from agent.process.launch import crew, wait_for
 from agent.robot.fleet_reader import load_fleet, load_robot
-from agent.tools.camera_calibration import Corner, fit_camera
+from agent.tools.camera_calibration import COLUMNS, ROWS, SQUARE_M, Corner, board_points, find_corners, fit_camera
 from agent.tools.focus_calibration import Aside, CalibrationRefused, FocusRow, fit_field, fit_focus
 from hw.camera import open_camera
 from hw.camera.camera import Camera, FocusRange, Roi
@@ -65,12 +66,13 @@ WHOLE = (
     6,
     10,
 )  # the distances, counted from 1, at which all of the picture is read: 0.48 and 0.33 m, full of the board
+FEWEST_PLACES = 12  # in these sweeps, to tell three numbers and some to check them with
+WHOLE_FLANKS, WHOLE_STEPS = 1.8, 13  # half widths on either side of the peak of the middle, and pictures
 BLOCK_PX = 64  # side of the places that tell how peaks aside differ
 FLANKS = 1.5  # half widths on either side of the peak that the grain is fitted over
 EDGE_SHARE, EDGE_RIM_PX = 0.3, 3  # of the steepest slope; leaves a fifth of the picture to the grain at 1.2 m
 HOMING_S = 0.2  # the lens across its whole range
 
-COLUMNS, ROWS, SQUARE_M = 14, 9, 0.020  # inner corners of a board of 15 x 10 squares
 BOARD_AT_M = (0.68, 0.85)  # the whole board within 31 degrees, with room for a gimbal that is a degree off
 VIEWS_DEG = ((0.0, 0.0), (-24.0, 0.0), (24.0, 0.0), (0.0, -8.0), (0.0, 8.0), (-16.0, -6.0), (16.0, 6.0))
 SAG_AT_M, SAG_TILTS_DEG = (0.40, 0.43, 0.46), (-20.0, 20.0)  # near: an error of the distance matters least
@@ -105,9 +107,7 @@ def calibrate(
     seen = fit_camera(corners, fleet.body, camera.size)
     if focus is not None and limits is not None:
         rows = [row._replace(u_m=as_on_axis(row.u_m, window_share(seen))) for row in rows]
-        field = fit_field(fit_focus(rows), on_board(seen_aside, fleet, seen))
-        in_window = over_window(seen, lambda px: shift(field, offset(seen, px)))
-        focus = replace(fit_focus([row._replace(rho=row.rho - in_window) for row in rows]), field=field)
+        focus = with_field(rows, on_board(seen_aside, fleet, seen), seen)
         tilted = tilted_peaks(fleet, timed, limits, seen, place, lambda done, _: progress(LOOKS + done, SETTINGS))
         focus = with_sag(focus, tilted)
     centre_us = round(fleet.body.servo_centre_us)
@@ -149,13 +149,12 @@ def focus_rows(
     centre_us = round(fleet.body.servo_centre_us)
     for done, u_m in enumerate(1.0 / np.linspace(1.0 / FARTHEST_M, 1.0 / NEAREST_M, DISTANCES), start=1):
         approach(place, (float(u_m), 0.0, 0.0), (centre_us, centre_us))
-        part = Roi(0, 0, *camera.size) if done in WHOLE else middle_of(camera.size)
-        swept = sweep_board(camera, limits, part, fleet.camera.sweep_steps, fleet.camera.settle_s)
-        peak = board_peak(swept, middle_of(camera.size))
+        peak = board_peak(sweep_middle(fleet, camera, limits))
         if peak is not None:
             rows.append(FocusRow(float(u_m), peak.lens_position, peak.width, peak.sigma))
-        if done in WHOLE:
-            aside += [SeenAside(done, float(u_m), px, found) for px, found in peaks_aside(swept)]
+            if done in WHOLE:
+                found = peaks_aside(sweep_whole(fleet, camera, limits, peak))
+                aside += [SeenAside(done, float(u_m), px, there) for px, there in found]
         progress(done, DISTANCES)
     return rows, aside
 
@@ -173,14 +172,23 @@ def tilted_peaks(
         us = level_us[0], servos_us(seen, body, 0.0, tilt_deg)[1]
         tilt = math.radians(gimbal_deg(seen, body, us)[1])
         approach(place, (ahead_m, 0.0, ahead_m * math.tan(tilt)), us)
-        middle = middle_of(camera.size)
-        swept = sweep_board(camera, limits, middle, fleet.camera.sweep_steps, fleet.camera.settle_s)
-        peak = board_peak(swept, middle)
+        peak = board_peak(sweep_middle(fleet, camera, limits))
         if peak is not None:
             u_m = ahead_m / (math.cos(tilt) + y / z * math.sin(tilt))
             peaks.append(TiltedPeak(as_on_axis(u_m, window_share(seen)), peak.lens_position, tilt))
         progress(done, len(SAG_AT_M) * len(SAG_TILTS_DEG))
     return peaks
+
+
+def with_field(rows: Sequence[FocusRow], places: Sequence[Aside], seen: CameraFit) -> FocusFit:
+    """The curve of the axis, through what the picture's middle shows, and the field; None where too little of the
+    picture shows the board."""
+    plain = fit_focus(rows)
+    if len(places) < FEWEST_PLACES:
+        return plain
+    field = fit_field(plain, places)
+    in_window = over_window(seen, lambda px: shift(field, offset(seen, px)))
+    return replace(fit_focus([row._replace(rho=row.rho - in_window) for row in rows]), field=field)
 
 
 def window_share(seen: CameraFit) -> float:
@@ -230,28 +238,39 @@ class BoardSweep(NamedTuple):
     pictures: list[NDArray[np.uint8]]
 
 
-def sweep_board(camera: TimedCamera, limits: FocusRange, part: Roi, steps: int, settle_s: float) -> BoardSweep:
-    """Sweep once over the whole range of the lens."""
+def sweep_middle(fleet: Fleet, camera: TimedCamera, limits: FocusRange) -> BoardSweep:
+    """The picture's middle, over the whole range of the lens."""
+    steps = np.linspace(limits.lowest, limits.highest, fleet.camera.sweep_steps)
+    return sweep_board(fleet, camera, limits, middle_of(camera.size), steps)
+
+
+def sweep_whole(fleet: Fleet, camera: TimedCamera, limits: FocusRange, peak: Peak) -> BoardSweep:
+    """The whole picture, about a peak that is known."""
+    ends = (peak.lens_position + side * WHOLE_FLANKS * peak.width for side in (-1.0, 1.0))
+    first, last = (min(max(end, limits.lowest), limits.highest) for end in ends)
+    return sweep_board(fleet, camera, limits, Roi(0, 0, *camera.size), np.linspace(first, last, WHOLE_STEPS))
+
+
+def sweep_board(fleet: Fleet, camera: TimedCamera, limits: FocusRange, part: Roi, steps: Array) -> BoardSweep:
+    """Pictures of a part of the frame at rising lens positions, after homing."""
     home(camera, limits, part)
     lens_positions, pictures = list[float](), list[NDArray[np.uint8]]()
-    for wanted in np.linspace(limits.lowest, limits.highest, steps):
+    for wanted in steps:
         reported = camera.set_focus(round(wanted))
-        frame = camera.read(part, settle_s=settle_s)
+        frame = camera.read(part, settle_s=fleet.camera.settle_s)
         lens_positions.append(camera.lens_position(frame.t_ns) or reported)
         pictures.append(luminance(frame.image))
     return BoardSweep(part, lens_positions, pictures)
 
 
-def board_peak(swept: BoardSweep, part: Roi) -> Peak | None:
-    """Where the grain of the board is sharpest in a part of the picture, if anywhere.
+def board_peak(swept: BoardSweep) -> Peak | None:
+    """Where the grain of the board is sharpest, if anywhere.
 
     Grain, not edges: a board square to the camera has all its edges at one phase of the pixel grid, and the image
     grows by percents as the lens moves, so edges gain and lose gradient during the sweep. On the twin that scatters
     peaks by 2.6 lens positions, 5 mm at half a metre; the grain alone repeats to 0.5.
     """
-    x, y = part.x - swept.part.x, part.y - swept.part.y
-    lens_positions = swept.lens_positions
-    pictures = [picture[y : y + part.height, x : x + part.width] for picture in swept.pictures]
+    _, lens_positions, pictures = swept
     window = np.outer(*map(np.hanning, pictures[0].shape))  # what grows over the border leaves no step
     energies = [gradient_energy(picture) for picture in pictures]
     clarity = [float((energy * window).sum()) for energy in energies]
@@ -272,13 +291,15 @@ def board_peak(swept: BoardSweep, part: Roi) -> Peak | None:
 
 def peaks_aside(swept: BoardSweep) -> list[tuple[tuple[float, float], Peak]]:
     """Peaks of the grain all over the picture, by blocks, with their middles."""
-    x, y, width, height = swept.part
-    corners = itertools.product(
-        range(x, x + width - BLOCK_PX + 1, BLOCK_PX), range(y, y + height - BLOCK_PX + 1, BLOCK_PX)
-    )
-    found = ((corner, board_peak(swept, Roi(*corner, BLOCK_PX, BLOCK_PX))) for corner in corners)
-    middle = (BLOCK_PX - 1) / 2
-    return [((left + middle, top + middle), peak) for (left, top), peak in found if peak is not None]
+    (x, y, width, height), lens_positions, pictures = swept
+    found: list[tuple[tuple[float, float], Peak]] = []
+    for top, left in itertools.product(*(range(0, side - BLOCK_PX + 1, BLOCK_PX) for side in (height, width))):
+        here = np.s_[top : top + BLOCK_PX, left : left + BLOCK_PX]
+        part = Roi(x + left, y + top, BLOCK_PX, BLOCK_PX)
+        peak = board_peak(BoardSweep(part, lens_positions, [picture[here] for picture in pictures]))
+        if peak is not None:
+            found.append(((part.x + (BLOCK_PX - 1) / 2, part.y + (BLOCK_PX - 1) / 2), peak))
+    return found
 
 
 def middle_of(size: tuple[int, int]) -> Roi:
@@ -335,30 +356,6 @@ def home(camera: TimedCamera, limits: FocusRange, roi: Roi) -> None:
     """Bring the lens to rest at its smallest position."""
     camera.set_focus(limits.lowest)
     camera.read(roi, settle_s=max(HOMING_S, camera.homing_s))
-
-
-def find_corners(grey: NDArray[np.uint8]) -> list[tuple[float, float]]:
-    """Pixels of the board's inner corners, row by row from the upper left; empty if they are not all there."""
-    found, corners = cv2.findChessboardCornersSB(grey, (COLUMNS, ROWS), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
-    if not found:
-        return []
-    grid = corners.reshape(ROWS, COLUMNS, 2)
-    # The gimbal has no roll: whichever corner the finder starts from, left is left and up is up.
-    if grid[0, 0, 0] > grid[0, -1, 0]:
-        grid = grid[:, ::-1]
-    if grid[0, 0, 1] > grid[-1, 0, 1]:
-        grid = grid[::-1]
-    return [(float(u), float(v)) for u, v in grid.reshape(-1, 2)]
-
-
-def board_points(board_m: Vector) -> list[Vector]:
-    """The same corners about the pivot, body frame: y to the left, z up."""
-    x, y, z = board_m
-    return [
-        (x, y + SQUARE_M * ((COLUMNS - 1) / 2 - column), z + SQUARE_M * ((ROWS - 1) / 2 - row))
-        for row in range(ROWS)
-        for column in range(COLUMNS)
-    ]
 
 
 # --- timing ---
@@ -577,9 +574,25 @@ def describe(calibration: Calibration) -> str:
         f"\ntiming: stamps {1e3 * timing.stamp_late_s:.0f} ± {1e3 * timing.stamp_late_sigma_s:.0f} ms late, "
         f"lens lags {1e3 * timing.lens_lag_s:.0f} ± {1e3 * timing.lens_lag_sigma_s:.0f} ms"
     )
+    seen += f"\nfield: {_curving(focus, camera)}"
     nearer = "larger" if focus.b_m > 0.0 else "smaller"  # u = u_inf + b / (rho - rho0): 0 for infinity is custom only
     return (
         f"focus: R² {focus.r2:.4f}, rms {1e3 * focus.rmse_m:.1f} mm, held out {1e3 * focus.held_out_rmse_m:.1f} mm, "
         f"one peak ± {focus.noise:.2f} lens positions, "
         f"{nearer} ones are nearer\n{seen}"
+    )
+
+
+def _curving(focus: FocusFit, camera: CameraFit) -> str:
+    """How far peaks are moved at the picture's corners."""
+    if focus.field is None:
+        return (
+            "not measured, for too little of the picture showed the board; ranges aside are taken for those of the axis"
+        )
+    corners = [(x, y) for x in (0.0, camera.width_px - 1.0) for y in (0.0, camera.height_px - 1.0)]
+    moved = [in_direction(focus, camera, px) for px in corners]
+    shifts = [each.rho0 - focus.rho0 for each in moved]
+    sigma = max(math.sqrt(max(each.covariance[5] - focus.covariance[5], 0.0)) for each in moved)
+    return (
+        f"peaks move by {min(shifts):+.0f} to {max(shifts):+.0f} lens positions at the picture's corners, ± {sigma:.1f}"
     )

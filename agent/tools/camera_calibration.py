@@ -185,6 +185,7 @@ def unit_sigma(board: Any, matrix: Any, distortion: Any, turns: Sequence[Any], p
 # but bends it otherwise: towards the picture's edge the two differ by a third of a pixel where the axis is 6 px off,
 # which puts a robot that goes by tags 10 mm beside its place. Half a thousand corners tell them apart.
 
+COLUMNS, ROWS, SQUARE_M = 14, 9, 0.020  # inner corners of the bench's board of 15 x 10 squares
 MIN_CORNERS = 40  # ten unknowns; half a board seen once
 MIN_SETTINGS = 3  # of the gimbal: zero and gain of two axes
 MAX_NOISE_PX = 2.0  # a wrong board is worse than this
@@ -202,6 +203,30 @@ class Corner(NamedTuple):
     px: tuple[float, float]
     lens_position: float = 0.0
     number: int | None = None  # of this corner on the board
+
+
+def find_corners(grey: NDArray[np.uint8]) -> list[tuple[float, float]]:
+    """Pixels of the board's inner corners, row by row from the upper left; empty if they are not all there."""
+    found, corners = cv2.findChessboardCornersSB(grey, (COLUMNS, ROWS), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    if not found:
+        return []
+    grid = corners.reshape(ROWS, COLUMNS, 2)
+    # The gimbal has no roll: whichever corner the finder starts from, left is left and up is up.
+    if grid[0, 0, 0] > grid[0, -1, 0]:
+        grid = grid[:, ::-1]
+    if grid[0, 0, 1] > grid[-1, 0, 1]:
+        grid = grid[::-1]
+    return [(float(u), float(v)) for u, v in grid.reshape(-1, 2)]
+
+
+def board_points(board_m: Vector) -> list[Vector]:
+    """The same corners about the pivot, body frame: y to the left, z up."""
+    x, y, z = board_m
+    return [
+        (x, y + SQUARE_M * ((COLUMNS - 1) / 2 - column), z + SQUARE_M * ((ROWS - 1) / 2 - row))
+        for row in range(ROWS)
+        for column in range(COLUMNS)
+    ]
 
 
 def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> CameraFit:

@@ -13,18 +13,16 @@ from agent.core.ranging.focus import Peak, h
 from agent.perception.vision import movable
 from agent.tools import bench_calibration
 from agent.tools.bench_calibration import (
-    COLUMNS,
-    ROWS,
     SAG_AT_M,
     SAG_TILTS_DEG,
     SETTINGS,
     calibrate,
     describe,
-    find_corners,
     fit_timing,
     setting,
     tilted_peaks,
 )
+from agent.tools.camera_calibration import COLUMNS, ROWS, find_corners
 from agent.tools.focus_calibration import CalibrationRefused
 from hw.camera.camera import FocusRange, Frame, Roi
 from tests.perception.painted import (
