@@ -22,7 +22,7 @@ from agent.perception.depth_sweep import HOME_SETTLE_S, SETTLE_S, SWEEP_STEPS
 from agent.process.command import Failed, shipped_fleet
 from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import PATIENCE_S, FocusRange, Frame, Image, Roi, Stamp, deliverable
-from hw.twin.optics.lens import Lens, Vcm, draw_lens
+from hw.twin.optics.lens import Lens, Vcm, draw_lens, with_field
 from hw.twin.optics.painter import Painter
 from hw.twin.optics.raycast import Eye, Floats
 from hw.twin.scene import Scene, generator, load_scene
@@ -45,10 +45,19 @@ class StillCamera:
     It stands in the tank's scene, or in another one if `scene` is given.
     """
 
-    def __init__(self, sensor: str, seed: int, robot: str = "r1", scene: Scene | None = None) -> None:
+    def __init__(
+        self,
+        sensor: str,
+        seed: int,
+        robot: str = "r1",
+        scene: Scene | None = None,
+        sensor_tilt_deg: float = 0.0,
+        field_um: float = 0.0,
+    ) -> None:
         fleet = load_fleet(shipped_fleet())
         scene = msgspec.structs.replace(scene or load_scene("tank"), camera=sensor)
-        self.lens = draw_lens(sensor, generator(seed, robot, "lens"))
+        lens = draw_lens(sensor, generator(seed, robot, "lens"))
+        self.lens = with_field(lens, sensor_tilt_deg, field_um, generator(seed, robot, "sensor"))
         self.size = (self.lens.width, self.lens.height)
         self.stamp: Stamp = "exposure-start"
         self.view = TankView((0.1, 0.6, 0.25), 0.0)
