@@ -14,7 +14,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any, Literal
+from functools import cache
+from typing import Annotated, Any, Literal, get_args, get_type_hints
 
 import msgspec
 from msgspec import UNSET, Meta, UnsetType
@@ -48,7 +49,7 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     """Base of everything that is sent or logged."""
 
     def __post_init__(self) -> None:
-        for name in self.__struct_fields__:
+        for name in _with_floats(type(self)):
             if not _finite(getattr(self, name)):
                 raise ValueError(f"{name} is not finite")
 
@@ -56,6 +57,16 @@ class Message(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=T
     def upgraded(cls, fields: dict[str, Any]) -> dict[str, Any]:
         """The fields of an older recording as this version names them."""
         return fields
+
+
+@cache
+def _with_floats(kind: type[Message]) -> tuple[str, ...]:
+    """The fields that can hold a float, but for those of structs in them, which look after themselves."""
+    return tuple(name for name, hint in get_type_hints(kind).items() if _holds_float(hint))
+
+
+def _holds_float(hint: Any) -> bool:
+    return hint in (float, Any, object) or any(map(_holds_float, get_args(hint)))
 
 
 def _finite(value: Any) -> bool:
