@@ -1,6 +1,6 @@
 """Takes a picture of these pages: of one of our pages in a browser, or of a picture that a command of ours wrote.
 
-python docs/take_picture.py http://127.0.0.1:8766/#SECRET docs/page.webp --size 1280x800
+python docs/take_picture.py http://127.0.0.1:8766/#SECRET docs/page.webp --fill '#send_x=1.1' --fill '#send_y=1.5'
 python docs/take_picture.py runs/swim/report.html docs/swim.webp --element .tank
 python docs/take_picture.py depth.png docs/depth-map.webp
 """
@@ -27,15 +27,16 @@ def main() -> None:
     parser.add_argument("out", type=Path, help="a .webp file")
     parser.add_argument("--element", help="CSS selector: this part of the page alone")
     parser.add_argument("--size", default="1280x800", help="of the browser's window")
+    parser.add_argument("--fill", action="append", default=[], metavar="SELECTOR=TEXT", help="a field, before")
     asked = parser.parse_args()
     if Path(asked.what).suffix in (".html", "") or "://" in asked.what:
-        taken = shot(asked.what, asked.element, asked.size)
+        taken = shot(asked.what, asked.element, asked.size, asked.fill)
     else:
         taken = Image.open(asked.what)
     asked.out.write_bytes(small(taken.convert("RGB")))
 
 
-def shot(what: str, element: str | None, size: str) -> Image.Image:
+def shot(what: str, element: str | None, size: str, fill: list[str]) -> Image.Image:
     """What a browser shows."""
     from playwright.sync_api import sync_playwright
 
@@ -46,6 +47,9 @@ def shot(what: str, element: str | None, size: str) -> Image.Image:
         page.goto(what if "://" in what else Path(what).resolve().as_uri())
         page.evaluate("document.querySelectorAll('details:not([id])').forEach(one => one.open = true)")
         time.sleep(SETTLE_S)
+        for field in fill:
+            page.fill(*field.split("=", 1))
+        time.sleep(1.0)
         taken = page.locator(element).first.screenshot() if element else page.screenshot()
         browser.close()
     return Image.open(io.BytesIO(taken))

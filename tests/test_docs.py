@@ -173,3 +173,33 @@ def test_terms_are_explained_once_and_nothing_else_changes(page: Path) -> None:
     assert link.sub(r"\1", shown) == text
     assert len(meanings) == len(set(meanings)) and set(meanings) <= set(site_hook.glossary().values())
     assert bool(meanings) == (not name.startswith(site_hook.UNEXPLAINED))
+
+
+HOW_TO = [
+    "first-ten-minutes",
+    "page",
+    "your-own-robots",
+    "calibrate",
+    "cameras",
+    "depth-map",
+    "enhancement",
+    "landmarks",
+    "swim",
+    "night",
+    "scenes",
+]
+PICTURES = sorted(path for kind in ("webp", "svg", "png", "jpg") for path in (ROOT / "docs").glob(f"*.{kind}"))
+
+
+@pytest.mark.parametrize("page", HOW_TO)
+def test_a_how_to_page_has_a_picture(page: str) -> None:
+    shown = re.findall(r"!\[([^\]]+)\]\(([^)]+)\)", (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8"))
+    assert [name for about, name in shown if about and ROOT / "docs" / name in PICTURES]
+
+
+def test_pictures_are_small_and_none_lies_about() -> None:
+    """The clip of a dive is larger than a picture may be."""
+    assert not [path.name for path in PICTURES if path.stat().st_size > 80_000 and path.name != "dive.webp"]
+    assert sum(path.stat().st_size for path in PICTURES) <= 1_000_000
+    told = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert not [path.name for path in PICTURES if path.name not in told]
