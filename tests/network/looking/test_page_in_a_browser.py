@@ -216,6 +216,21 @@ def test_it_fits_a_phone_and_stop_all_stays_in_reach(chromium, served) -> None:
     tab.page.close()
 
 
+def test_names_in_the_tank_do_not_cover_each_other_on_a_phone(chromium, served) -> None:
+    tab = Tab(chromium, served.address, viewport={"width": 390, "height": 844})
+    tab.says("#sentence", "2 of 2 robots heard")
+    tab.page.evaluate("for (const r of robots.values()) r.name = 'a robot of a long name, ' + r.name; dirty = true")
+    for canvas in ("above", "side"):
+        names = until(lambda drawn=canvas: tab.page.evaluate(f"$('{drawn}').getContext('2d').taken"))
+        names = [name for name in names if name[1] - name[0] > 100]
+        assert len(names) == 2
+        (left, right, y), (other_left, other_right, other_y) = names
+        assert right <= other_left or other_right <= left or abs(y - other_y) >= 13
+        assert max(y, other_y) < tab.page.evaluate(f"$('{canvas}').clientHeight - FOOT"), "above the scale"
+    tab.page.close()
+    tab.page.close()
+
+
 def test_recording_is_switched_on_and_off(tab, path) -> None:
     tab.page.click("#record")
     tab.says("#log_note", "recording into")
