@@ -185,6 +185,7 @@ HOW_TO = [
     "enhancement",
     "landmarks",
     "swim",
+    "survey",
     "night",
     "scenes",
 ]
