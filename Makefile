@@ -30,6 +30,7 @@ lint: .venv/ready-test
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
+	$(BIN)/pytest -q tests/test_prose.py
 
 format: .venv/ready-test
 	$(BIN)/ruff check --fix .

@@ -1,7 +1,8 @@
 """What mkdocs is told beyond mkdocs.yml, so that one text reads well on a site and as plain files.
 
 Pages that lie outside docs/ join the site under their own path, and all links are led to where pages lie there. A link
-to a folder leads to a list of its files. Markdown that mkdocs reads otherwise than others do is written its way.
+to a folder leads to a list of its files. Markdown that mkdocs reads otherwise than others do is written its way. At its
+first use on a page a term of the glossary leads there, and shows what it means.
 """
 
 from __future__ import annotations
@@ -19,9 +20,20 @@ OUTSIDE = (
     "replay/README.md",
     "router_config/README.md",
 )
+GLOSSARY = "concepts.md"
+UNEXPLAINED = (
+    "README.md",
+    "concepts.md",
+    "architecture.md",
+    "messages.md",
+    "research/",
+)  # for those who know the terms
 LISTED = ("research/results", "schemas")  # folders of docs/ that pages link to
 LINK = re.compile(r"(?<=\]\()([^)\s#]*)((?:#[^)\s]*)?)(?=\))")
 ITEM = re.compile(r"(?:[*-]|\d+\.) ")
+NO_PROSE = re.compile(
+    r"```.*?```|^(?:#| {4}).*?$|`[^`\n]*`|!?\[[^\]]*\]\([^)]*\)|https?://\S+", re.DOTALL | re.MULTILINE
+)
 
 
 def on_config(config: Any) -> Any:
@@ -47,7 +59,7 @@ def on_files(files: Any, config: Any) -> Any:
 
 
 def on_page_markdown(markdown: str, page: Any, **_: Any) -> str:
-    return respelled(relinked(markdown, page.file.src_uri))
+    return respelled(explained(relinked(markdown, page.file.src_uri), page.file.src_uri))
 
 
 def relinked(markdown: str, page: str) -> str:
@@ -64,6 +76,29 @@ def relinked(markdown: str, page: str) -> str:
         return posixpath.relpath(there, posixpath.dirname(page) or ".") + anchor
 
     return LINK.sub(led, markdown)
+
+
+def glossary() -> dict[str, str]:
+    """Each term, and what it means in plain text. A row of several words explains none of them alone."""
+    table = (ROOT / "docs" / GLOSSARY).read_text(encoding="utf-8").partition("## Glossary")[2]
+    rows = re.findall(r"^\| ([^|]+) \| ([^|]+) \|$", table, re.MULTILINE)
+    return {term: meaning.replace("`", "") for term, meaning in rows if term != "term" and "," not in term}
+
+
+def explained(markdown: str, page: str) -> str:
+    """With the first use of each term led to the glossary. Headings, code and links stay as they are."""
+    if page.startswith(UNEXPLAINED):
+        return markdown
+    meanings = glossary()
+    there = posixpath.relpath(GLOSSARY, posixpath.dirname(page) or ".") + "#glossary"
+    words = "|".join(re.escape(term) for term in sorted(meanings, key=len, reverse=True))
+    term_or_not = re.compile(rf"(?P<apart>{NO_PROSE.pattern})|\b(?P<term>{words})s?\b", NO_PROSE.flags | re.IGNORECASE)
+
+    def led(found: re.Match[str]) -> str:
+        meaning = meanings.pop(found["term"].lower(), None) if found["term"] else None
+        return found[0] if meaning is None else f'[{found[0]}]({there} "{meaning}")'
+
+    return term_or_not.sub(led, markdown)
 
 
 def respelled(markdown: str) -> str:

@@ -45,7 +45,10 @@ MISTAKES = [
     (["experiment", "list", "--seeds", "3"], "experiment list: takes no --seeds; leave it out"),
     (["experiment", "depth", "runs"], "experiment depth: takes no DIR; leave it out"),
     (["experiment", "docs", "nowhere"], "there is no folder docs here; run it in a checkout of the repository"),
-    (["calibrate", "lens"], "'lens' is not one of 'cameras', 'run', 'focus', 'camera', 'gamma', 'body', 'landmarks'"),
+    (
+        ["calibrate", "lens"],
+        "'lens' is not one of 'cameras', 'board', 'run', 'focus', 'camera', 'gamma', 'body', 'landmarks'",
+    ),
     (["calibrate", "run", TANK], "say which robot with --robot"),
     (["calibrate", "focus"], "calibrate focus: say what it is measured from, the SOURCE"),
     (["calibrate", "cameras", TANK], "calibrate cameras: takes no SOURCE; leave it out"),

@@ -150,3 +150,57 @@ def test_markdown_is_respelled_for_the_site() -> None:
     text = "Words:\n* one\n\n1. two\n\n   ```python a.py\n   x = 1\n   ```\n\n| `a\\|b` |\n"
     there = 'Words:\n\n* one\n\n1. two\n\n    ```python title="a.py"\n    x = 1\n    ```\n\n| `a|b` |\n'
     assert site_hook.respelled(text) == there
+
+
+def test_the_first_use_of_a_term_leads_to_the_glossary() -> None:
+    text = (
+        "# A fleet\n\nThe `fleet` of [a fleet](fleet-file.md): Fleets swim. A fleet, its agent.\n\n    aucamp agent\n"
+    )
+    shown = site_hook.explained(text, "hw/README.md")
+    fleet, agent = (site_hook.glossary()[term] for term in ("fleet", "agent"))
+    there = "../concepts.md#glossary"
+    assert shown == text.replace("Fleets", f'[Fleets]({there} "{fleet}")').replace(
+        "its agent", f'its [agent]({there} "{agent}")'
+    )
+
+
+@pytest.mark.parametrize("page", [page for page in PAGES if page.parent == ROOT / "docs"], ids=lambda page: page.name)
+def test_terms_are_explained_once_and_nothing_else_changes(page: Path) -> None:
+    text, name = page.read_text(encoding="utf-8"), page.name
+    shown = site_hook.explained(text, name)
+    link = re.compile(r"\[([^\]]*)\]\(concepts\.md#glossary \"([^\"]*)\"\)")
+    meanings = [meaning for _, meaning in link.findall(shown)]
+    assert link.sub(r"\1", shown) == text
+    assert len(meanings) == len(set(meanings)) and set(meanings) <= set(site_hook.glossary().values())
+    assert bool(meanings) == (not name.startswith(site_hook.UNEXPLAINED))
+
+
+HOW_TO = [
+    "first-ten-minutes",
+    "page",
+    "your-own-robots",
+    "calibrate",
+    "cameras",
+    "depth-map",
+    "enhancement",
+    "landmarks",
+    "swim",
+    "survey",
+    "night",
+    "scenes",
+]
+PICTURES = sorted(path for kind in ("webp", "svg", "png", "jpg") for path in (ROOT / "docs").glob(f"*.{kind}"))
+
+
+@pytest.mark.parametrize("page", HOW_TO)
+def test_a_how_to_page_has_a_picture(page: str) -> None:
+    shown = re.findall(r"!\[([^\]]+)\]\(([^)]+)\)", (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8"))
+    assert [name for about, name in shown if about and ROOT / "docs" / name in PICTURES]
+
+
+def test_pictures_are_small_and_none_lies_about() -> None:
+    """The clip of a dive is larger than a picture may be."""
+    assert not [path.name for path in PICTURES if path.stat().st_size > 80_000 and path.name != "dive.webp"]
+    assert sum(path.stat().st_size for path in PICTURES) <= 1_000_000
+    told = "".join(page.read_text(encoding="utf-8") for page in PAGES)
+    assert not [path.name for path in PICTURES if path.name not in told]

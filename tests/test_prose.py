@@ -61,6 +61,15 @@ def test_a_page_is_understood_at_the_first_reading(page: str) -> None:
         assert sum(words for words, _ in found) / len(found) <= MOST_IN_THE_MEAN
 
 
+def test_generated_pages_have_no_endless_sentence_and_no_word_that_nobody_says() -> None:
+    """Their texts come from the registry of claims and from the messages."""
+    pages = [path for path in (ROOT / "docs").rglob("*.md") if path.relative_to(ROOT).as_posix() not in PAGES]
+    assert len(pages) > 30
+    texts = {path.name: path.read_text(encoding="utf-8") for path in pages}
+    assert not [(name, sentence) for name in texts for words, sentence in sentences(texts[name]) if words > MOST_WORDS]
+    assert not [(name, word) for name, text in texts.items() for word in UNSAID.findall(text)]
+
+
 def test_sentences_are_counted_as_people_read_them() -> None:
     text = "# Title of a page\n\nOne `two three` four. Five [six](seven.md)\neight:\n\n* nine ten\n\n| a | table |\n"
     assert [words for words, _ in sentences(text)] == [3, 3, 2]

@@ -143,9 +143,10 @@ def train(
 # --- calibrate ---
 # `aucamp calibrate KIND`.
 
-Kind = Literal["cameras", "run", "focus", "camera", "gamma", "body", "landmarks"]
+Kind = Literal["cameras", "board", "run", "focus", "camera", "gamma", "body", "landmarks"]
 CALIBRATE_TAKES: dict[Kind, tuple[str, ...]] = {
     "cameras": (),
+    "board": ("--board",),
     "run": ("--robot",),
     "focus": (),
     "camera": ("--board",),
@@ -164,14 +165,16 @@ def calibrate(
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help=r"File whose table is written, such as \[focus]; run: the fleet file's own if not given."),
+        typer.Option(
+            help=r"File whose table is written, such as \[focus]; run: else the fleet file's own; board: the PDF."
+        ),
     ] = None,
     robot: Annotated[str | None, typer.Option(help="run: which robot of the fleet file.")] = None,
     board: Annotated[
         str | None,
         typer.Option(
             metavar="COLUMNSxROWSxMM",
-            help="camera: inner corners both ways and side of a square; 14x9x20 if not given.",
+            help="camera, board: inner corners both ways and side of a square; 14x9x20 if not given.",
         ),
     ] = None,
     calibration: Annotated[
@@ -192,6 +195,7 @@ def calibrate(
     \b
     cameras                 measures nothing: lists what is plugged in, what
                             works, and the address for the fleet file
+    board                   measures nothing: the board to print, true to size
     run FLEET               lens and gimbal: a board at known distances, focus
                             swept; on the twin's bench for a twin's camera
     focus TABLE             range against lens position: CSV with u_mm, code
@@ -206,11 +210,17 @@ def calibrate(
     given |= {"--known": known or None, "--no-flat": no_flat, "--lens": lens, "--frames": frames}
     if kind == "cameras":
         given |= {"SOURCE": source or None, "--out": out}
+    elif kind == "board":
+        given["SOURCE"] = source or None
     elif not source:
         raise ConfigError(f"calibrate {kind}: say what it is measured from, the SOURCE; see aucamp calibrate --help")
     refuse_options(f"calibrate {kind}", given, CALIBRATE_TAKES[kind])
     if kind == "cameras":
         list_cameras()
+    elif kind == "board":
+        from agent.tools import camera_calibration
+
+        camera_calibration.print_board(*as_board(board or "14x9x20"), out or Path("board.pdf"), terminal())
     elif kind == "run":
         from agent.tools import bench_calibration
 

@@ -36,7 +36,7 @@ Verdict = Literal["consistent", "suspect", "contradicted", "missing"]
 Mode = Literal["running", "degraded", "stopped", "failed"]
 
 NUMBER = "which edition of these schemas; a robot believes its own alone"
-SENT = "when it was said: ns since the Unix epoch, by the clock of whoever said it"
+SENT = "when it was said: ns since the Unix epoch, by the clock of the robot that said it"
 SIGNED = "Ed25519 by the origin, 64 bytes, of what agent/core/trust.py makes of it; empty: none"
 
 
@@ -208,7 +208,7 @@ class Presence(Message, frozen=True, kw_only=True):
     incarnation: Annotated[Count, means("which start of the sender this is: Unix time of it, ns")]
     seq: Annotated[Count, means("counts the rounds in which the sender says where it is")]
     sent_ns: Annotated[Count, means(SENT)]
-    t_ns: Annotated[Count, means("of place and velocity: ns, by the clock of whoever said it")]
+    t_ns: Annotated[Count, means("of place and velocity: ns, by the clock of the robot that said it")]
     x_m: Annotated[float, means("m, world frame, of the body's centre")]
     y_m: Annotated[float, means("m, world frame")]
     yaw_rad: Annotated[float, means("rad, anticlockwise from x")]
@@ -323,7 +323,8 @@ class State(Message, frozen=True, kw_only=True):
     verdict: Annotated[Verdict, means("whether what it believes of the target can be trusted")] = "consistent"
     causes: Annotated[tuple[str, ...], means("why not, the worst first; empty: consistent")] = ()
     mode: Annotated[
-        Mode, means("running; degraded: a step broke of late; stopped: ended as planned; failed: ended by a fault")
+        Mode,
+        means("running; degraded: a step broke a moment ago; stopped: ended as planned; failed: ended by a fault"),
     ] = "running"
     signed: Annotated[
         bool, means("what others measured counts by their signatures; false: by whose mouth it came from")

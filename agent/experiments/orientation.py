@@ -266,8 +266,8 @@ CLAIM = Claim(
     measured_on="twin",
     figures=tuple(_figures()),
     seeds=60,  # as many as the 95 % take
-    explanation="""A robot of the twin, steered by the board's own firmware in lock-step, is pushed by 8 N for 0.3 s at
-        a corner, and told to go from 0.22 to 0.41 m of depth. It has recovered when it stays within 10 mm of its depth
-        and 2 degrees of level; settling is that of depth alone. `observer` is the law that ships, `pi` the paper's.
-        Mass and inertia differ by up to 20 %, and by more where robots only have to come to rest.""",
+    explanation="""A robot of the twin is steered by the board's own firmware in lock-step. It is pushed by 8 N for
+        0.3 s at a corner, and told to go from 0.22 to 0.41 m of depth. It has recovered when it stays within 10 mm of
+        its depth and 2 degrees of level; settling is that of depth alone. `observer` is the law that ships, `pi` the
+        paper's. Mass and inertia differ by up to 20 %, and by more where robots only have to come to rest.""",
 )

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
+from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 
@@ -33,6 +34,78 @@ SAME_VIEW = 0.01  # of the picture's width: views whose corners differ by less a
 MOST_SIGMA = 0.005  # of the focal length, and of the picture's width for the centre: what ranges and tags can bear
 NOISE_PX = 0.1  # of a corner at least, whatever the residuals say: print, paper and lens err alike in all views
 TILT = "tilt the board by 20 degrees and more, to all sides, in four views at least"
+
+
+# --- the board ---
+# `aucamp calibrate board`: a chessboard to print. Its squares have grain, which focus sweeps measure: corners say where
+# the board is, and edges alone make a poor peak (`board_peak` in bench_calibration).
+
+MM_PER_INCH = 25.4
+PAPERS_MM = {"A4": (297, 210), "A3": (420, 297), "A2": (594, 420), "A1": (841, 594), "A0": (1189, 841)}
+RIM_MM = 15  # at least, between the squares and the edge of the paper: corners need white around them, printers too
+GRAINS_MM = (0.5, 1.0, 2.0)  # a pixel at 0.5 m, 1 m and 2 m of a camera with f = 1000 px
+GRAIN = 0.08  # standard deviation of each, share of white: squares stay dark or bright
+PLAIN_MM = 3.0  # of a square along its edges: grain at a corner would move it
+DARK, BRIGHT = 0.15, 0.85
+
+
+def print_board(columns: int, rows: int, square_mm: float, out: Path, console: Console) -> None:
+    """Write a PDF of one page with a board of `columns` x `rows` inner corners, true to size. Raises ConfigError where
+    no paper is large enough, or the file is there already."""
+    if out.exists():
+        raise ConfigError(f"{out}: is there already; move it away, or name another file with --out")
+    paper, drawn = board_figure(columns, rows, square_mm)
+    try:
+        drawn.savefig(out, format="pdf")
+    except OSError as error:
+        raise ConfigError(f"{out}: {error.strerror}") from None
+    console.print(f"{out}: print it on {paper} at 100 %, matt, and glue it flat; its line has to be 100 mm long")
+
+
+def board_figure(columns: int, rows: int, square_mm: float) -> tuple[str, Figure]:
+    """The smallest paper that holds the board, and a figure of that size. Raises ConfigError."""
+    wide_mm, high_mm = (columns + 1) * square_mm, (rows + 1) * square_mm
+    fits = [
+        (paper, size)
+        for paper, size in PAPERS_MM.items()
+        if wide_mm + 2 * RIM_MM <= size[0] and high_mm + 2 * RIM_MM <= size[1]
+    ]
+    if not fits:
+        raise ConfigError(f"a board of {wide_mm:g} x {high_mm:g} mm is larger than A0; take smaller squares")
+    paper, (paper_mm, tall_mm) = fits[0]
+    drawn = Figure(figsize=(paper_mm / MM_PER_INCH, tall_mm / MM_PER_INCH))
+    whole = drawn.add_axes((0, 0, 1, 1), xlim=(0, paper_mm), ylim=(0, tall_mm), frame_on=False, xticks=[], yticks=[])
+    left_mm, low_mm = (paper_mm - wide_mm) / 2, (tall_mm - high_mm) / 2
+    place = (left_mm, left_mm + wide_mm, low_mm, low_mm + high_mm)
+    whole.imshow(
+        board_picture(columns, rows, square_mm), cmap="gray", vmin=0, vmax=1, extent=place, interpolation="none"
+    )
+    whole.set(xlim=(0, paper_mm), ylim=(0, tall_mm))
+    whole.plot((left_mm, left_mm + 100), (low_mm - 5, low_mm - 5), color="black", linewidth=1, solid_capstyle="butt")
+    said = f"100 mm.  Board {columns}x{rows}x{square_mm:g}, {paper}, printed at 100 %"
+    whole.text(left_mm + 104, low_mm - 5, said, fontsize=8, verticalalignment="center")
+    return paper, drawn
+
+
+def board_picture(columns: int, rows: int, square_mm: float) -> NDArray[np.float64]:
+    """The board alone, the finest grain a pixel: 0 is black, 1 white."""
+    across = max(2, round(square_mm / GRAINS_MM[0]))  # pixels of a square
+    squares = np.add.outer(np.arange(rows + 1), np.arange(columns + 1)) % 2
+    picture = np.kron(np.where(squares == 0, DARK, BRIGHT), np.ones((across, across)))
+    plain = min(round(PLAIN_MM / GRAINS_MM[0]), across // 2)
+    middle = np.zeros((across, across))
+    middle[plain : across - plain, plain : across - plain] = 1.0
+    inside = np.kron(np.ones_like(squares), middle)
+    dice = np.random.default_rng(1)
+    high, wide = picture.shape
+    for grain_mm in GRAINS_MM:
+        cell = round(grain_mm / GRAINS_MM[0])
+        coarse = dice.normal(0.0, GRAIN, (-(-high // cell), -(-wide // cell)))
+        picture += inside * np.kron(coarse, np.ones((cell, cell)))[:high, :wide]
+    return np.clip(picture, 0.0, 1.0)
+
+
+# --- intrinsics ---
 
 
 class Intrinsics(NamedTuple):

@@ -376,7 +376,8 @@ PAGE = (
     + """</style>
 </head>
 <body>
-{% macro rows(table) %}<div class="wide"><table>
+<main>
+{% macro rows(table) %}<div class="wide" tabindex="0" role="group" aria-label="Table"><table>
 <tr>{% for cell in table.rows[0] %}<th>{{ cell }}</th>{% endfor %}</tr>
 {% for row in table.rows[1:] %}<tr>{% for cell in row %}<td>{{ cell }}</td>{% endfor %}</tr>
 {% endfor %}</table></div>{% endmacro %}
@@ -408,7 +409,8 @@ PAGE = (
 {% for section in sections if not section.folded %}{{ body(section) }}
 {% endfor %}{% for section in sections if section.folded %}<details><summary>{{ section.title }}</summary>
 {{ body(section) }}</details>
-{% endfor %}</body>
+{% endfor %}</main>
+</body>
 </html>
 """
 )

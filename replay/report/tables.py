@@ -208,7 +208,9 @@ def orders(run: Run) -> Table | None:
         for about, t_s in sorted(found.items(), key=lambda item: item[1])
         for robot, console, _, order, ok in (about,)
     ]
-    return Table("What people ordered, and what the robots answered.", [["robot", "time, s", "who", "what", ""], *rows])
+    return Table(
+        "What people ordered, and what the robots answered.", [["robot", "time, s", "who", "what", "answer"], *rows]
+    )
 
 
 def remarks(run: Run) -> Table | None:

@@ -1,6 +1,7 @@
 """Intrinsics come back from photographs painted with known ones."""
 
 import io
+import re
 import shutil
 from pathlib import Path
 
@@ -11,7 +12,7 @@ from rich.console import Console
 
 from agent.cli.pictures import as_board
 from agent.core.config import ConfigError, read_toml
-from agent.tools.camera_calibration import calibrate_camera, unit_sigma
+from agent.tools.camera_calibration import board_figure, board_picture, calibrate_camera, print_board, unit_sigma
 
 F, CX, CY = 820.0, 330.0, 232.0
 QUIET = Console(quiet=True)
@@ -125,3 +126,40 @@ def test_a_square_in_another_unit_is_a_warning(capsys: pytest.CaptureFixture) ->
     assert capsys.readouterr().err == ""
     assert as_board("9x6x2.5") == (9, 6, 2.5)
     assert "squares of 2.5 mm are rarely printed; the last number is in millimetres" in capsys.readouterr().err
+
+
+def test_the_board_to_print_is_true_to_size_and_found(tmp_path) -> None:
+    paper, drawn = board_figure(14, 9, 20.0)
+    width_in, height_in = drawn.get_size_inches()
+    assert (paper, width_in * 25.4, height_in * 25.4) == ("A3", pytest.approx(420), pytest.approx(297))
+    drawn.savefig(tmp_path / "board.png", dpi=8 * 25.4)  # eight pixels a millimetre, so that grains begin at pixels
+    sheet = cv2.imread(str(tmp_path / "board.png"), cv2.IMREAD_GRAYSCALE)
+    far = cv2.resize(sheet, None, fx=3 / 16, fy=3 / 16, interpolation=cv2.INTER_AREA)  # a square is 30 pixels wide
+    high, wide = far.shape
+    dice = np.random.default_rng(1)
+    seen = 90 + 3 * dice.normal(0.0, 5.0, (2 * high, 2 * wide))
+    seen[high // 2 : high // 2 + high, wide // 2 : wide // 2 + wide] = 20 + 0.7 * far
+    seen = np.clip(cv2.GaussianBlur(seen, (0, 0), 0.7), 0, 255).astype(np.uint8)
+    found, corners = cv2.findChessboardCornersSB(seen, (14, 9), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
+    assert found
+    steps = np.diff(corners.reshape(9, 14, 2), axis=1)
+    assert np.hypot(*steps.reshape(-1, 2).T) == pytest.approx(30.0, abs=0.3)
+
+
+def test_the_squares_of_the_board_have_grain_of_their_own_and_stay_apart() -> None:
+    picture = board_picture(14, 9, 20.0)
+    assert picture.shape == (400, 600)
+    dark, bright = picture[6:34, 6:34], picture[6:34, 46:74]
+    assert dark.std() > 0.08 and bright.std() > 0.08
+    assert dark.mean() < 0.35 and bright.mean() > 0.65
+
+
+def test_a_pdf_has_the_size_of_its_paper_and_nothing_is_overwritten(tmp_path) -> None:
+    out = tmp_path / "board.pdf"
+    print_board(9, 6, 20.0, out, QUIET)
+    box = re.search(rb"/MediaBox \[ *0 0 ([\d.]+) ([\d.]+) *\]", out.read_bytes())
+    assert [float(side) / 72 * 25.4 for side in box.groups()] == pytest.approx([297, 210], abs=0.01)
+    with pytest.raises(ConfigError, match="is there already"):
+        print_board(14, 9, 20.0, out, QUIET)
+    with pytest.raises(ConfigError, match="larger than A0"):
+        print_board(60, 40, 30.0, tmp_path / "large.pdf", QUIET)

@@ -370,8 +370,8 @@ CLAIM = Claim(
         Figure("loss30_equal", "all maps are equal in the end, with that loss", "%", least=95.0),
     ),
     seeds=60,  # as many as the 95 % take
-    explanation="""Five moored robots choose by themselves where to look next, and count how many keyframes all of them
-        take until nine tenths of the cells that can be seen at all are known to 4 mm. Robots that share tell one
+    explanation="""Five moored robots choose by themselves where to look next. Counted are the keyframes that all of
+        them take until nine tenths of the cells that can be seen at all are known to 4 mm. Robots that share tell one
         another what they saw and will look at; maps are compared byte for byte once nothing more is said. Each seed
         is another scene of drawn things, and other noise of what the blocks of a sweep measure.""",
 )

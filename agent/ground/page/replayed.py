@@ -130,7 +130,6 @@ class Replayed:
         self._first_ns, self._last_ns = reel.times_ns[0], reel.times_ns[-1]
         self._at_ns, self._speed, self._paused = self._first_ns, 1.0, False
         self._said_s = 0.0
-        self._opened = False  # until a page is, it waits at its beginning
 
     async def run(self, stop: Event) -> None:
         """Until `stop` is set."""
@@ -139,8 +138,7 @@ class Replayed:
         while not stop.is_set():
             await asyncio.sleep(PERIOD_S)
             now_s = machine.monotonic_s()
-            self._opened = self._opened or self._board.watched
-            if self._opened and not self._paused:
+            if self._board.watched and not self._paused:  # where nobody looks it stands
                 self._advance(round((now_s - before_s) * self._speed * 1e9))
             before_s = now_s
             if now_s - self._said_s >= CLOCK_S:
@@ -152,7 +150,6 @@ class Replayed:
             play = msgspec.convert(message.get("play"), Play)
         except msgspec.ValidationError:
             return
-        self._opened = True
         if play.speed is not None:
             self._speed = min(max(play.speed, SLOWEST), FASTEST)
         if play.at_ms is not None:

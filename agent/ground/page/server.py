@@ -213,9 +213,9 @@ def hello(
 ) -> dict[str, Any]:
     """The first message of a page.
 
-    `beside`: the fleet file's folder, where calibrations of its cameras may lie: with one, how far a camera sees
-    to the left and right is drawn. Those that a recording names have to lie in it. `console`: as whom orders are given;
-    None: none are. `records`: the page's process can record.
+    `beside`: the fleet file's folder, where calibrations of its cameras may lie: with one, the page shows what a camera
+    has in view, and at which distance it is sharp. Those that a recording names have to lie in it. `console`: as whom
+    orders are given; None: none are. `records`: the page's process can record.
     """
     return {
         "k": "hello",
@@ -241,7 +241,7 @@ def hello(
                 "depth_m": robot.depth_m,
                 "swims": fleet.navigation is not None,
                 "lamp": robot.lamp,
-                "half_view_deg": half_view_deg(beside, robot.calibration, kind) if beside else None,
+                **optics(beside, robot.calibration, kind),
             }
             for name, robot in fleet.robot.items()
         ],
@@ -259,15 +259,24 @@ def colour(target: Target) -> str | None:
     return target.colour or (None if target.picture else "red")
 
 
-def half_view_deg(beside: Path, calibration: str, kind: Kind) -> tuple[float, float] | None:
-    """How far a camera sees to either side, and up and down, in water; None: its calibration is not on this machine,
-    or a recording, which anybody may have made, names a file elsewhere."""
+def optics(beside: Path | None, calibration: str, kind: Kind) -> dict[str, Any]:
+    """What a camera sees, and at which distance it is sharp: each None where its calibration is not on this machine, or
+    a recording, which anybody may have made, names a file elsewhere.
+
+    `half_view_deg`: in water, to either side, and up and down. `lens`: u = u_inf_m + b_m / (position - rho0); None also
+    where focus is fixed.
+    """
+    found: dict[str, Any] = {"half_view_deg": None, "lens": None}
+    if beside is None:
+        return found
     with contextlib.suppress(ConfigError):
-        path = inside(beside, calibration) if kind == "recording" else beside / calibration
-        camera = load_calibration(path).camera
+        calibrated = load_calibration(inside(beside, calibration) if kind == "recording" else beside / calibration)
+        camera, focus = calibrated.camera, calibrated.focus
         across, down = (side / 2 / camera.f_px for side in (camera.width_px, camera.height_px))
-        return math.degrees(math.atan(across)), math.degrees(math.atan(down))
-    return None
+        found["half_view_deg"] = math.degrees(math.atan(across)), math.degrees(math.atan(down))
+        if focus is not None:
+            found["lens"] = {"u_inf_m": focus.u_inf_m, "b_m": focus.b_m, "rho0": focus.rho0}
+    return found
 
 
 # --- a page until it is ended ---

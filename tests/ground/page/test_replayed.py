@@ -94,7 +94,7 @@ def test_what_was_newest_at_a_time_is_shown_with_the_lines_and_the_way_there(ree
     assert len(shown(board)["lines"]["lines"]) == 1
 
 
-def test_it_waits_at_its_beginning_until_a_page_is_open(reel) -> None:
+def test_it_goes_on_only_while_a_page_is_open(reel) -> None:
     board = Board()
     replayed = Replayed(reel, board)
 
@@ -107,6 +107,10 @@ def test_it_waits_at_its_beginning_until_a_page_is_open(reel) -> None:
         while shown(board)["clock"]["now_ms"] < (NOW_NS + S // 10) * 1e-6:
             await asyncio.sleep(0.05)
         board.leave(viewer)
+        await asyncio.sleep(0.5)  # until it has said where it stands
+        left_ms = shown(board)["clock"]["now_ms"]
+        await asyncio.sleep(0.5)
+        assert shown(board)["clock"]["now_ms"] == left_ms
         stop.set()
         await running
 
@@ -119,7 +123,7 @@ def test_it_goes_on_by_itself_faster_or_not_at_all(reel) -> None:
 
     async def plays() -> None:
         stop = Event()
-        running = asyncio.create_task(replayed.run(stop))
+        running, viewer = asyncio.create_task(replayed.run(stop)), board.join()
         await replayed.heard({"play": {"speed": 20.0}})
         for _ in range(400):  # 9.9 s of the recording need half a second
             await asyncio.sleep(0.05)
@@ -135,6 +139,7 @@ def test_it_goes_on_by_itself_faster_or_not_at_all(reel) -> None:
             await replayed.heard(nonsense)
         await replayed.heard({"play": {"at_ms": -1e30, "speed": 1e9}})
         assert shown(board)["state/r1/ball"]["t"] == 0
+        board.leave(viewer)
         stop.set()
         await running
 
@@ -232,8 +237,8 @@ def test_a_recording_names_no_calibration_outside_of_its_folder(tmp_path) -> Non
     ):
         robot = msgspec.structs.replace(FLEET.robot["r1"], calibration=name)
         fleet = msgspec.structs.replace(FLEET, robot={**FLEET.robot, "r1": robot})
-        found = hello(fleet, kind, run)["robots"][0]["half_view_deg"]
-        assert (found is not None) == seen, (name, kind)
+        found = hello(fleet, kind, run)["robots"][0]
+        assert (found["half_view_deg"] is not None) == (found["lens"] is not None) == seen, (name, kind)
 
 
 def test_a_recording_that_breaks_its_report_is_told_on_the_page(tmp_path, monkeypatch) -> None:

@@ -80,6 +80,7 @@ class Scripted:
             depth_m=0.4,
             roll_deg=0.1,
             pitch_deg=-0.1,
+            focus=600,
             whereabouts=UNSET,
             armed=self.armed,
             battery_v=self.battery_v,

@@ -3,9 +3,12 @@
 import time
 
 import pytest
+from msgspec.structs import replace
 
-from agent.core.config import Fleet, Pose, Robot, Target
+from agent.core.config import Fleet, Landmarks, Navigation, Pose, Robot, Tag, Target, dump
+from agent.core.ranging.camera_model import Calibration
 from agent.robot.fleet_reader import load_fleet
+from tests.known_lens import CAMERA, PLAIN
 from tests.network.conftest import unused_port
 from tests.network.looking.page_process import FREEZE, TAKES, Tab, browser, fleet_on_disk, page_process
 from tests.network.looking.scripted_robots import JPEG, scripted
@@ -30,7 +33,11 @@ def path(tmp_path_factory):
         for name, other, x_m in (("r1", "r2", 0.4), ("r2", "r1", 1.1))
     }
     fleet = Fleet(fleet="test", target={"ball": Target(radius_m=0.07)}, robot=robots)
-    return fleet_on_disk(fleet, tmp_path_factory.mktemp("page"), JPEG)
+    folder = tmp_path_factory.mktemp("page")
+    for name in robots:
+        lens = Calibration(robot=name, made="2026-01-01", source="test", focus=PLAIN, camera=CAMERA)
+        (folder / f"{name}.toml").write_text(dump(lens), encoding="utf-8")
+    return fleet_on_disk(fleet, folder, JPEG)
 
 
 @pytest.fixture(scope="module")
@@ -66,6 +73,9 @@ def test_who_looks_sees_the_fleet(tab) -> None:
     assert tab.page.inner_text("#kind") == "LIVE"
     tab.says("#card_r1", "picture 0.")
     tab.says("#card_r1", "0.40 m")
+    tab.says("#card_r1 dt:text-is('ball') + dd", "sees it, ± 1.5 mm, consistent")
+    tab.says("#card_r1 dt:text-is('lens') + dd", "position 600, sharp at 0.25 m")  # -0.01 + 130 / (600 - 100)
+    assert tab.page.is_hidden("#send"), "they are moored"
     tab.says("#log", "r2 is here")
     before = tab.page.evaluate(STATES)
     until(lambda: all(now > was for now, was in zip(tab.page.evaluate(STATES), before, strict=True)))
@@ -95,7 +105,7 @@ def test_a_battery_that_runs_low_and_what_the_module_does_about_it(tab, robots) 
 
 def test_all_are_stopped_and_started_again(tab, robots) -> None:
     tab.page.click("#stop")
-    tab.says("#order_note", "all stopped: 2 of 2 answered")
+    assert tab.says("#stopped", "all stopped: r1 and r2") in tab.page.inner_text("#order_note")
     assert [robot.orders[-1].verb for robot in robots.values()] == ["stop", "stop"]
     tab.says("#sentence", "Motors off: all")
     tab.page.click("#start")
@@ -107,10 +117,40 @@ def test_who_does_not_answer_is_named(tab, robots) -> None:
     robots["r2"].hangs = True
     try:
         tab.page.keyboard.press("s")
-        tab.says("#order_note", "1 of 2 stopped; not r2")
+        tab.says("#stopped", "stopped: r1; no answer from r2")
         assert "r2" in tab.says("#orders li:first-child", "did not answer within 1 s")
     finally:
         robots["r2"].hangs = False
+
+
+def test_a_click_in_the_tank_moves_no_robot_before_it_is_confirmed(chromium, path, robots) -> None:
+    tags = Landmarks(size_m=0.1, tag=(Tag(id=1, position_m=(0.0, 0.5, 0.25), face="x0"),))
+    swims = path.parent / "swims.toml"
+    swims.write_text(dump(replace(load_fleet(path), navigation=Navigation(), landmarks=tags)), encoding="utf-8")
+    with page_process(swims, "--as", "ann") as page:
+        tab = Tab(chromium, page.address, viewport={"width": 1440, "height": 900})
+        tab.says("#sentence", "2 of 2 robots heard")
+        at = tab.page.evaluate("""() => {   // where of the page the place is
+            const box = $("above").getBoundingClientRect(), [x, y] = view($("above"), false).at([0.5, 0.75, 0]);
+            return [box.left + x, box.top + y];
+        }""")
+        tab.page.mouse.click(*at)
+        tab.says("#send_go", "Send r1 to 0.50, 0.75 m")
+        tab.page.keyboard.press("Escape")
+        until(lambda: tab.page.is_disabled("#send_go"))
+        tab.page.mouse.click(*at)
+        tab.page.select_option("#send_who", "r2")
+        assert not [order for robot in robots.values() for order in robot.orders if order.verb == "goto"]
+        tab.page.click("#send_go")
+        tab.says("#send_came", "r2 goes there")
+        tab.page.keyboard.press("s")  # from the list of robots, which has the focus now
+        tab.says("#stopped", "all stopped: r1 and r2")
+        tab.page.click("#start")
+        until(lambda: all(robot.armed for robot in robots.values()))
+        tab.page.close()
+    assert [order.args for order in robots["r2"].orders if order.verb == "goto"] == [{"x_m": 0.5, "y_m": 0.75}]
+    assert not [order for order in robots["r1"].orders if order.verb == "goto"]
+    assert not tab.complaints
 
 
 def test_why_a_robot_refuses_is_read_as_text(tab) -> None:
@@ -173,6 +213,21 @@ def test_it_fits_a_phone_and_stop_all_stays_in_reach(chromium, served) -> None:
         "getComputedStyle(document.documentElement).backgroundColor.match(/[0-9]+/g).map(Number)"
     )[:3]
     assert max(red, green, blue) < 60, "dark, where the browser asks for it"
+    tab.page.close()
+
+
+def test_names_in_the_tank_do_not_cover_each_other_on_a_phone(chromium, served) -> None:
+    tab = Tab(chromium, served.address, viewport={"width": 390, "height": 844})
+    tab.says("#sentence", "2 of 2 robots heard")
+    tab.page.evaluate("for (const r of robots.values()) r.name = 'a robot of a long name, ' + r.name; dirty = true")
+    for canvas in ("above", "side"):
+        names = until(lambda drawn=canvas: tab.page.evaluate(f"$('{drawn}').getContext('2d').taken"))
+        names = [name for name in names if name[1] - name[0] > 100]
+        assert len(names) == 2
+        (left, right, y), (other_left, other_right, other_y) = names
+        assert right <= other_left or other_right <= left or abs(y - other_y) >= 13
+        assert max(y, other_y) < tab.page.evaluate(f"$('{canvas}').clientHeight - FOOT"), "above the scale"
+    tab.page.close()
     tab.page.close()
 
 

@@ -1,0 +1,71 @@
+"""Takes a picture of these pages: of one of our pages in a browser, or of a picture that a command of ours wrote.
+
+python docs/take_picture.py http://127.0.0.1:8766/#SECRET docs/page.webp --fill '#send_x=1.1' --fill '#send_y=1.5'
+python docs/take_picture.py runs/swim/report.html docs/swim.webp --element .tank
+python docs/take_picture.py depth.png docs/depth-map.webp
+"""
+
+from __future__ import annotations
+
+import argparse
+import io
+import shutil
+import time
+from pathlib import Path
+
+from PIL import Image
+
+MOST_BYTES = 80_000
+MOST_PX = 1000  # wide: what a page shows
+QUALITIES = range(90, 20, -10)
+SETTLE_S = 6.0  # until pictures and states have come
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("what", help="an address, a report, or a picture")
+    parser.add_argument("out", type=Path, help="a .webp file")
+    parser.add_argument("--element", help="CSS selector: this part of the page alone")
+    parser.add_argument("--size", default="1280x800", help="of the browser's window")
+    parser.add_argument("--fill", action="append", default=[], metavar="SELECTOR=TEXT", help="a field, before")
+    asked = parser.parse_args()
+    if Path(asked.what).suffix in (".html", "") or "://" in asked.what:
+        taken = shot(asked.what, asked.element, asked.size, asked.fill)
+    else:
+        taken = Image.open(asked.what)
+    asked.out.write_bytes(small(taken.convert("RGB")))
+
+
+def shot(what: str, element: str | None, size: str, fill: list[str]) -> Image.Image:
+    """What a browser shows."""
+    from playwright.sync_api import sync_playwright
+
+    width, height = map(int, size.split("x"))
+    with sync_playwright() as tools:
+        browser = tools.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        page = browser.new_page(viewport={"width": width, "height": height}, color_scheme="light")
+        page.goto(what if "://" in what else Path(what).resolve().as_uri())
+        page.evaluate("document.querySelectorAll('details:not([id])').forEach(one => one.open = true)")
+        time.sleep(SETTLE_S)
+        for field in fill:
+            page.fill(*field.split("=", 1))
+        time.sleep(1.0)
+        taken = page.locator(element).first.screenshot() if element else page.screenshot()
+        browser.close()
+    return Image.open(io.BytesIO(taken))
+
+
+def small(picture: Image.Image) -> bytes:
+    """As WebP, of the best quality that is small enough. Raises ValueError where none is."""
+    if picture.width > MOST_PX:
+        picture = picture.resize((MOST_PX, round(picture.height * MOST_PX / picture.width)), Image.Resampling.LANCZOS)
+    for quality in QUALITIES:
+        packed = io.BytesIO()
+        picture.save(packed, "WEBP", quality=quality, method=6)
+        if packed.tell() <= MOST_BYTES:
+            return packed.getvalue()
+    raise ValueError(f"larger than {MOST_BYTES} bytes at any quality")
+
+
+if __name__ == "__main__":
+    main()
