@@ -88,7 +88,7 @@ def run(settings: Settings, out: Path, show: Show) -> Result:
     )
     placed = judged(model.look, made.held)
     figures["image"] = image_figures(model, placed)
-    files += write_report(made.built, made.held, placed, figures, out, settings.video, show)
+    files += write_report(made.built, made.held, placed, figures, settings.cell_m, out, settings.video, show)
     path = out / RESULT
     write_whole(path, json.dumps(figures, indent=1) + "\n")
     built, held = Built(views, mesh, made.built.swept), scaled(made.held, made.own)
