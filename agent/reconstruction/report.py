@@ -25,7 +25,7 @@ from agent.process.command import Progress, Show
 from agent.reconstruction.export import GAMMA, encoded
 from agent.reconstruction.fusion import Built
 from agent.reconstruction.held_back import HeldBack
-from agent.reconstruction.mesh import Mesh, Rendered, pieces_of, rendered
+from agent.reconstruction.mesh import Mesh, Rendered, pieces_of, rendered, seen_faces
 from agent.reconstruction.sources import DISTANCE_M
 from agent.reconstruction.views import Camera, Floats, View
 from replay.files.frames import film
@@ -76,6 +76,7 @@ ELEVATION_DEG = 38.0  # from which the turntable looks down
 FRAMES, FPS = 120, 20.0  # once round in six seconds
 BEST_M, WORST_M = 1e-3, 20e-3  # ends of the scale of sigma
 MOST_VIEWS = 10  # end of the scale of views
+GREY = np.float32(0.4)
 GROUND = np.array([1.0, 1.0, 1.0], np.float32)
 
 
@@ -86,8 +87,9 @@ def by_sigma(mesh: Mesh) -> NDArray[np.float32]:
 
 
 def by_views(mesh: Mesh) -> NDArray[np.float32]:
-    """A colour (n, 3) for each vertex: dark where one view saw it, bright from MOST_VIEWS on."""
-    return _mapped("viridis", (np.clip(mesh.views, 1, MOST_VIEWS) - 1.0) / (MOST_VIEWS - 1.0))
+    """A colour (n, 3) for each vertex: dark where one view saw it, bright from MOST_VIEWS on; grey where none did."""
+    colours = _mapped("viridis", (np.clip(mesh.views, 1, MOST_VIEWS) - 1.0) / (MOST_VIEWS - 1.0))
+    return np.where((mesh.views > 0)[:, None], colours, GREY)
 
 
 def looked_at(mesh: Mesh, colours: NDArray[np.float32], bearing_deg: float, elevation_deg: float) -> NDArray[np.uint8]:
@@ -147,14 +149,16 @@ def _mapped(name: str, share: NDArray[np.floating]) -> NDArray[np.float32]:
 MOST_TRIANGLES = 400_000  # of the page: some 5 MB, which a telephone turns fluently
 COARSER = 1.4  # cells of the next try, where there are more
 START_DEG = 235.0  # bearing of the eye
+BESIDE = 0.25  # of the scene's size: cameras that are so far from its middle, in the mean, are on one side of it
 VIEWER = files("agent.reconstruction") / "viewer"
 MODULES = {"three": "three.module.min.js", "controls": "OrbitControls.js"}
 
 
-def write_scene(mesh: Mesh, cell_m: float, legends: Sequence[str], path: Path) -> None:
+def write_scene(mesh: Mesh, cell_m: float, cameras_m: Floats, legends: Sequence[str], said: str, path: Path) -> None:
     """scene.html: the surface and its points, turned by mouse, touch or keyboard.
 
-    mesh: from cells of cell_m; legends: what the colours by sigma and by views mean.
+    mesh: from cells of cell_m; cameras_m (n, 3): where they were; legends: what the colours by sigma and by views
+    mean; said: of the whole.
     """
     mesh, cell_m = coarser(mesh, cell_m, MOST_TRIANGLES)
     mesh, seen_vertices, seen_faces = seen_first(mesh)
@@ -163,7 +167,7 @@ def write_scene(mesh: Mesh, cell_m: float, legends: Sequence[str], path: Path) -
     corners = np.diff(mesh.faces.ravel().astype("<i4"), prepend=np.int32(0))  # differences pack three times as well
     colours = {"picture": mesh.colours, "standard deviation": by_sigma(mesh), "views": by_views(mesh)}
     data = b"".join([corners.tobytes(), steps.tobytes(), *(encoded(one).tobytes() for one in colours.values())])
-    stand = _stand(mesh, START_DEG, ELEVATION_DEG)
+    stand = _stand(mesh, *_side(mesh, cameras_m))
     about = {
         "faces": len(mesh.faces),
         "vertices": len(mesh.vertices_m),
@@ -176,7 +180,7 @@ def write_scene(mesh: Mesh, cell_m: float, legends: Sequence[str], path: Path) -
         "across": stand.across_m,
         "cell": cell_m,
         "colours": [{"name": name, "legend": text} for name, text in zip(colours, ("", *legends), strict=True)],
-        "said": f"{len(mesh.faces)} triangles.",
+        "said": said,
     }
     imports = {name: "data:text/javascript;base64," + _base64((VIEWER / file).read_bytes())
                for name, file in MODULES.items()}  # fmt: skip
@@ -188,6 +192,15 @@ def write_scene(mesh: Mesh, cell_m: float, legends: Sequence[str], path: Path) -
         data=_base64(gzip.compress(data, mtime=0)),
     )
     write_whole(path, text)
+
+
+def _side(mesh: Mesh, cameras_m: Floats) -> tuple[float, float]:
+    """Bearing and elevation of the eye, degrees: where the cameras were, or from above where they were all round."""
+    stand = _stand(mesh, 0.0, 0.0)
+    x, y, z = (cameras_m.mean(axis=0) - stand.middle_m).tolist()
+    if math.hypot(x, y, z) < BESIDE * stand.across_m:
+        return START_DEG, ELEVATION_DEG
+    return math.degrees(math.atan2(y, x)), math.degrees(math.atan2(z, math.hypot(x, y)))
 
 
 def coarser(mesh: Mesh, cell_m: float, most: int) -> tuple[Mesh, float]:
@@ -268,6 +281,9 @@ def write_report(
     known = [one.psnr_db for one in compared if one.psnr_db is not None]
     figures["psnr_held_back_db"] = round(float(np.mean(known)), 2) if held and known else None
     figures["shown_held_back"] = round(float(np.mean([one.shown for one in compared])), 4) if held else None
+    of_seen = render_of(built.mesh._replace(faces=seen_faces(built.mesh)))
+    seen = [float(np.isfinite(of_seen(view).depth_m).mean()) for view in held[:MOST_SHOWN]]
+    figures["seen_held_back"] = round(float(np.mean(seen)), 4) if held else None
     sections = [
         _surface(built, figures),
         _photographs(compared, bool(held)),
@@ -275,7 +291,9 @@ def write_report(
         _certainty(built, in_metres(figures)),
     ]
     written = [out / "report.html", out / "scene.html"]
-    write_scene(built.mesh, cell_m, _legends(in_metres(figures)), written[1])
+    cameras_m = np.array([view.position_m for view in built.views])
+    said = f"{figures['triangles']} triangles; {figures['concluded']:.0%} of the surface was concluded, not seen."
+    write_scene(built.mesh, cell_m, cameras_m, _legends(in_metres(figures)), said, written[1])
     if video:
         written.append(out / "turntable.mp4")
         write_turntable(built.mesh, written[2], lambda done, total: show(done, total, "turntable"))
@@ -300,12 +318,13 @@ def _surface(built: Built, figures: dict[str, Any]) -> Section:
         names = ["area, the scene's units", "size, units", "sigma, units, 10/50/90 %"]
         area, size, sigma = figures["area_units2"], figures["size_units"], figures["sigma_units"]
     rows = [
-        ["triangles", *names, "seen by one view", "depths by plane sweep"],
+        ["triangles", *names, "concluded, not seen", "seen by one view", "depths by plane sweep"],
         [
             figures["triangles"],
             f"{area:.3g}",
             " x ".join(f"{length:.3g}" for length in size),
             " / ".join(f"{value:.2g}" for value in sigma.values()),
+            f"{figures['concluded']:.0%}",
             f"{figures['seen_by_one']:.0%}",
             f"{figures['by_plane_sweep']:.0%}",
         ],
@@ -314,7 +333,8 @@ def _surface(built: Built, figures: dict[str, Any]) -> Section:
              for bearing in (235, 55)]  # fmt: skip
     note = Markup(
         'From two sides, what faces away left out. <a href="scene.html">scene.html</a> is the scene to be turned by '
-        f"hand; turntable.mp4 goes all round in {FRAMES} pictures."
+        f"hand; turntable.mp4 goes all round in {FRAMES} pictures. Of the surface {figures['concluded']:.0%} was "
+        "concluded from what lies around it, and seen by nobody; standard deviations in the table are of the rest."
     )
     return Section("surface", "Surface", note, [{"about": "", "rows": rows}], looks)
 
@@ -361,7 +381,7 @@ def _legends(metres: bool) -> tuple[str, str]:
     of = "" if metres else " of the distance to the cameras"
     return (
         f"standard deviation, {best} (dark) to {worst} (bright){of}",
-        f"views that saw it, 1 (dark) to {MOST_VIEWS} and more (bright)",
+        f"views that saw it, 1 (dark) to {MOST_VIEWS} and more (bright); grey: concluded from what lies around it",
     )
 
 

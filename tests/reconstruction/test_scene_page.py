@@ -1,5 +1,7 @@
 """The scene to be turned by hand, in a real browser, from a file."""
 
+import json
+import re
 from pathlib import Path
 
 import cv2
@@ -13,6 +15,7 @@ from tests.waiting import until
 
 SIDE = 20
 CELL_M = 0.05
+MIDDLE = (0.475, 0.475, 0.0)
 
 
 def sheet(side: int = SIDE, concluded_from: int = 15) -> Mesh:
@@ -56,6 +59,15 @@ def test_a_large_surface_is_made_coarser_and_stays_where_it_is() -> None:
     assert same is mesh and cell_m == CELL_M
 
 
+def test_the_eye_begins_where_the_cameras_were(tmp_path: Path) -> None:
+    cameras = np.array([(3.0, 0.4, 1.0), (3.0, 0.55, 1.0)])
+    write_scene(sheet(), CELL_M, cameras, ("", ""), "", tmp_path / "scene.html")
+    about = re.search(r'id="about">(.*?)</script>', (tmp_path / "scene.html").read_text())[1]
+    off = np.subtract(json.loads(about)["eye"], MIDDLE)
+    toward = cameras.mean(axis=0) - MIDDLE
+    assert off @ toward > 0.999 * np.linalg.norm(off) * np.linalg.norm(toward)
+
+
 def test_the_library_is_small_and_has_its_licence() -> None:
     assert sum(len((VIEWER / name).read_bytes()) for name in MODULES.values()) <= 1_300_000
     assert "MIT" in (VIEWER / "LICENSE").read_text()
@@ -70,7 +82,7 @@ def chromium():
 @pytest.fixture(scope="module")
 def address(tmp_path_factory) -> str:
     path: Path = tmp_path_factory.mktemp("scene") / "scene.html"
-    write_scene(sheet(), CELL_M, ("dark is sure", "dark is few"), path)
+    write_scene(sheet(), CELL_M, np.array([MIDDLE]), ("dark is sure", "dark is few"), "722 triangles", path)
     return path.as_uri()
 
 
@@ -134,8 +146,7 @@ def test_it_is_turned_by_mouse_keys_and_fingers(tab) -> None:
     assert eye(tab)[2] > 1.05 * start[2], "higher"
     tab.page.keyboard.press("0")
     tab.page.keyboard.press("+")
-    middle = np.array([0.475, 0.475, 0.0])
-    assert np.linalg.norm(eye(tab) - middle) == pytest.approx(0.9 * np.linalg.norm(start - middle), rel=0.01)
+    assert np.linalg.norm(eye(tab) - MIDDLE) == pytest.approx(0.9 * np.linalg.norm(start - MIDDLE), rel=0.01)
     tab.page.keyboard.press("Shift+ArrowRight")
     moved = eye(tab)
     tab.page.mouse.wheel(0, 400)
