@@ -9,7 +9,8 @@ and the distance is the mean of e by w, made robust: a view that contradicts the
 for less, w / (1 + (r / (ROBUST sigma))^2), twice over. Bricks are worked on one after the other, each with all views,
 so that nothing depends on the order of bricks.
 
-`build` makes the surface of a scene: from focus alone, then with the plane sweep where it finds anything.
+`build` makes the surface of a scene: from focus alone, then with the plane sweep where it finds anything, then with
+what is concluded where nothing is seen.
 """
 
 from __future__ import annotations
