@@ -272,7 +272,8 @@ def reconstruct_command(
     else:
         area, sigma = f"{f['area_units2']:.3g} of its own units squared", f"{f['sigma_units']['p50']:.2g} units"
     console.print(
-        f"{f['triangles']} triangles, {area}, from {f['views']} keyframes; standard deviation {sigma} (median)",
+        f"{f['triangles']} triangles, {area}, from {f['views']} keyframes; standard deviation {sigma} (median); "
+        f"{f['concluded']:.0%} of the surface was concluded from its rim",
         highlight=False,
     )
     learnt = f["image"]
@@ -280,6 +281,5 @@ def reconstruct_command(
     on = f"{worth:.1f} dB on {f['held_back']} photographs held back" if worth is not None else "none held back"
     thick = f"; its surface is {learnt['beta_mm']:.1f} mm thick" if learnt["beta_mm"] is not None else ""
     console.print(f"image model: {learnt['kind']}, {on}{thick}", highlight=False)
-    console.print(
-        f"look at {folder / 'report.html'}; beside it {', '.join(p.name for p in result.files[:-2])}", highlight=False
-    )
+    beside = ", ".join(path.name for path in result.files if path.name != "report.html")
+    console.print(f"look at {folder / 'report.html'}; beside it {beside}", highlight=False)

@@ -46,15 +46,13 @@ class Surface(NamedTuple):
     views: NDArray[np.uint8]  # (bricks, 8, 8, 8) how many saw it near the surface
 
 
-def allocated(stack: Stack, cell_m: float, reach_m: float) -> Surface:
-    """Bricks within reach_m, or sigma where it is more, of every known depth. Raises Failed where there is none."""
-    low, high = bounds(stack)
-    origin = np.floor(low / cell_m) * cell_m
-    shape = np.ceil((high - origin) / (SIDE * cell_m)).astype(np.int64) + 1
-    if float(np.prod(shape.astype(float))) > MOST_PLACES:
-        size = " x ".join(f"{length:.0f}" for length in high - low)
-        raise Failed(f"the depths spread over {size} m: too much for cells of {1e3 * cell_m:g} mm; make them larger")
-    index = np.full(tuple(shape.tolist()), -1, np.int32)
+def allocated(stack: Stack, cell_m: float, reach_m: float, like: Surface | None = None) -> Surface:
+    """Bricks within reach_m, or sigma where it is more, of every known depth. Raises Failed where there is none.
+
+    like: a surface whose table of places it has; what is outside is left out.
+    """
+    origin, shape = _places(stack, cell_m) if like is None else (like.origin_m, like.table.shape)
+    index = np.full(shape, -1, np.int32)
     _mark(stack, origin, cell_m, reach_m, index)
     wanted = index == 0
     count = int(wanted.sum())
@@ -70,6 +68,17 @@ def allocated(stack: Stack, cell_m: float, reach_m: float) -> Surface:
         weight=np.zeros(cells, np.float32),
         views=np.zeros(cells, np.uint8),
     )
+
+
+def _places(stack: Stack, cell_m: float) -> tuple[Floats, tuple[int, ...]]:
+    """Origin and shape of a table that has room for all depths, some outliers apart."""
+    low, high = bounds(stack)
+    origin = np.floor(low / cell_m) * cell_m
+    shape = np.ceil((high - origin) / (SIDE * cell_m)).astype(np.int64) + 1
+    if float(np.prod(shape.astype(float))) > MOST_PLACES:
+        size = " x ".join(f"{length:.0f}" for length in high - low)
+        raise Failed(f"the depths spread over {size} m: too much for cells of {1e3 * cell_m:g} mm; make them larger")
+    return origin, tuple(shape.tolist())
 
 
 def bounds(stack: Stack) -> tuple[Floats, Floats]:

@@ -83,7 +83,10 @@ MOST_POINTS = 100_000  # of the surface, which is enough for any program to star
 
 
 def write_colmap(views: list[View], mesh: Mesh, folder: Path) -> None:
-    """The folder is made; camera n belongs to image n, for each robot has its own lens at its own position."""
+    """The folder is made; camera n belongs to image n, for each robot has its own lens at its own position.
+
+    Points are of what was seen.
+    """
     sparse, images = folder / "sparse" / "0", folder / "images"
     for one in (sparse, images):
         one.mkdir(parents=True)
@@ -95,11 +98,12 @@ def write_colmap(views: list[View], mesh: Mesh, folder: Path) -> None:
         to_camera = p.rotation.T
         pose = [*quaternion(to_camera).tolist(), *(-to_camera @ p.centre_m).tolist()]
         poses.append(f"{n} {_text(pose)} {n} {name}.png\n")  # the line of its points is empty
-    step = max(1, -(-len(mesh.vertices_m) // MOST_POINTS))
+    seen = np.flatnonzero(mesh.views > 0)
+    step = max(1, -(-len(seen) // MOST_POINTS))
     colours = encoded(mesh.colours)
     points = [
         f"{n} {_text(mesh.vertices_m[m].tolist())} {' '.join(str(c) for c in colours[m])} 0"
-        for n, m in enumerate(range(0, len(mesh.vertices_m), step), start=1)
+        for n, m in enumerate(seen[::step].tolist(), start=1)
     ]
     for file, lines in (("cameras.txt", cameras), ("images.txt", poses), ("points3D.txt", points)):
         write_whole(sparse / file, "".join(f"{line}\n" for line in lines))
@@ -113,7 +117,10 @@ def _text(numbers: list[float]) -> str:
 
 
 def write_glb(mesh: Mesh, path: Path) -> None:
-    """Metres, y up as glTF wants it. Raises Failed where trimesh is not installed."""
+    """Metres, y up as glTF wants it; alpha is half where nobody saw the surface, which viewers show as any other.
+
+    Raises Failed where trimesh is not installed.
+    """
     try:
         import trimesh
     except ImportError:
@@ -123,7 +130,7 @@ def write_glb(mesh: Mesh, path: Path) -> None:
         vertices=mesh.vertices_m @ y_up.T,
         faces=mesh.faces,
         vertex_normals=mesh.normals @ y_up.T,
-        vertex_colors=encoded(mesh.colours),
+        vertex_colors=np.column_stack([encoded(mesh.colours), np.where(mesh.views > 0, 255, 128).astype(np.uint8)]),
         process=False,
     )
     write_whole(path, body.export(file_type="glb"))
@@ -209,7 +216,7 @@ def write_elements(
 # --- PLY of 3D Gaussian splatting: a flat, opaque Gaussian at each vertex, turned as the surface is ---
 
 ACROSS, THICK = 0.55, 0.1  # standard deviations along and across the surface, cells
-OPACITY = 0.97
+OPACITY, CONCLUDED_OPACITY = 0.97, 0.8
 BAND0 = 0.28209479177387814  # the constant spherical harmonic: colour = 0.5 + BAND0 f_dc
 
 
@@ -225,7 +232,8 @@ def write_splat(mesh: Mesh, cell_m: float, path: Path) -> None:
         splats[f"scale_{n}"] = np.log(cell_m * (ACROSS if n < 2 else THICK))
     for n in range(4):
         splats[f"rot_{n}"] = turn[:, n]
-    splats["opacity"] = np.log(OPACITY / (1.0 - OPACITY))
+    opacity = np.where(mesh.views > 0, OPACITY, CONCLUDED_OPACITY)
+    splats["opacity"] = np.log(opacity / (1.0 - opacity))
     write_elements(path, splats, [])
 
 

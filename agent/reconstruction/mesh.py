@@ -28,11 +28,37 @@ class Mesh(NamedTuple):
     normals: NDArray[np.float32]  # (n, 3) into the water
     colours: NDArray[np.float32]  # (n, 3) linear, red green blue; grey until `coloured`
     sigma_m: NDArray[np.float32]  # (n,) standard deviation, were views independent
-    views: NDArray[np.uint8]  # (n,) how many saw it
+    views: NDArray[np.uint8]  # (n,) how many saw it; 0: none, it was concluded from what lies around it
+
+
+def seen_faces(mesh: Mesh) -> NDArray[np.int32]:
+    """The triangles (k, 3) of which no corner was concluded."""
+    return np.ascontiguousarray(mesh.faces[(mesh.views > 0)[mesh.faces].all(axis=1)])
 
 
 def mesh_of(surface: Surface, least_weight: float = LEAST_WEIGHT) -> Mesh:
     """All of the surface; empty where there is none."""
+    return _numbered_mesh(surface, least_weight)[0]
+
+
+def joined(seen: Surface, both: Surface) -> Mesh:
+    """The mesh of `both`, which has all that `seen` has and more in the same table of places.
+
+    What is of `seen` alone is as `mesh_of(seen)` has it, to the bit; the other vertices have no views.
+    """
+    first, its = _numbered_mesh(seen, LEAST_WEIGHT)
+    mesh, numbers = _numbered_mesh(both, LEAST_WEIGHT)
+    there = seen.table >= 0
+    in_seen, in_both = its[seen.table[there]], numbers[both.table[there]]
+    known = in_seen >= 0
+    mesh.views[:] = 0
+    for name in ("vertices_m", "normals", "sigma_m", "views"):
+        getattr(mesh, name)[in_both[known]] = getattr(first, name)[in_seen[known]]
+    return mesh
+
+
+def _numbered_mesh(surface: Surface, least_weight: float) -> tuple[Mesh, NDArray[np.int32]]:
+    """And which vertex each cube (bricks, 8, 8, 8) has; -1: none."""
     places = np.argwhere(surface.table >= 0)
     numbers = np.full(surface.weight.shape, -1, np.int32)
     count = _number(surface, places, least_weight, numbers)
@@ -42,7 +68,8 @@ def mesh_of(surface: Surface, least_weight: float = LEAST_WEIGHT) -> Mesh:
     faces = np.empty((6 * count, 3), np.int32)
     used = _join(surface, places, least_weight, numbers, faces)
     sigma = np.sqrt(1e-4 / np.maximum(weight, 1e-6)).astype(np.float32)
-    return Mesh(vertices, faces[:used].copy(), normals, np.full((count, 3), 0.5, np.float32), sigma, views)
+    grey = np.full((count, 3), 0.5, np.float32)
+    return Mesh(vertices, faces[:used].copy(), normals, grey, sigma, views), numbers
 
 
 @inlined

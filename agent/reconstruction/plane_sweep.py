@@ -216,8 +216,7 @@ def plane_sweep(
 ) -> Swept:
     """Depths of all views; stack has the focus depths that say where to look, unless it is told to look everywhere.
 
-    before (n, height, width): depths that were found already, which are kept and bear witness; they are not looked for
-    again where the stack has no depth.
+    before (n, height, width): depths that were found already, which are not looked for again and bear witness.
     """
     grey = stack.pictures[..., 0] if stack.pictures.shape[-1] == 1 else stack.pictures.mean(axis=-1)
     grey = np.ascontiguousarray(grey)
@@ -254,7 +253,7 @@ def _sweep(
     for row in range(HALF, mine.height - HALF):
         for col in range(HALF, mine.width - HALF):
             depth, sigma = float(stack.depth_m[n, row, col]), float(stack.sigma_m[n, row, col])
-            if not depth > 0.0 and ends[0] == 0.0:
+            if found[row, col] > 0.0 or (not depth > 0.0 and ends[0] == 0.0):
                 continue
             texture = _window(grey, n, row, col, own)
             if texture < LEAST_TEXTURE:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
+from numpy.typing import NDArray
 
 from agent.clock import machine
 from agent.core.config import ConfigError, to_install, write_whole
@@ -18,8 +19,8 @@ from agent.process.command import Failed, Progress, Show
 from agent.reconstruction import surfels
 from agent.reconstruction.export import Kind, export
 from agent.reconstruction.fusion import CELL_M, Built, build
-from agent.reconstruction.held_back import HeldBack, ImageModel, ModelKind, held_back, judged
-from agent.reconstruction.mesh import Mesh
+from agent.reconstruction.held_back import HeldBack, ImageModel, ModelKind, held_back, judged, smaller
+from agent.reconstruction.mesh import Mesh, seen_faces
 from agent.reconstruction.plane_sweep import Range, neighbours, plane_sweep
 from agent.reconstruction.refine_poses import refine
 from agent.reconstruction.report import write_report
@@ -88,7 +89,7 @@ def run(settings: Settings, out: Path, show: Show) -> Result:
     )
     placed = judged(model.look, made.held)
     figures["image"] = image_figures(model, placed)
-    files += write_report(made.built, made.held, placed, figures, out, settings.video, show)
+    files += write_report(made.built, made.held, placed, figures, settings.cell_m, out, settings.video, show)
     path = out / RESULT
     write_whole(path, json.dumps(figures, indent=1) + "\n")
     built, held = Built(views, mesh, made.built.swept), scaled(made.held, made.own)
@@ -158,19 +159,23 @@ def image_figures(model: ImageModel, placed: Sequence[HeldBack]) -> dict[str, An
 
 
 def figures_of(views: Sequence[View], mesh: Mesh, made: Made) -> dict[str, Any]:
-    """Counts, and how sure the surface is. Lengths are in metres, or, where nobody knows the unit, in the scene's own:
-    their names say which."""
+    """Counts, and how sure what was seen of the surface is.
+
+    Lengths are in metres, or, where nobody knows the unit, in the scene's own: their names say which.
+    """
     size = [float(f"{length:.4g}") for length in np.ptp(mesh.vertices_m, axis=0).tolist()]
-    sigma = {f"p{percent}": float(np.percentile(mesh.sigma_m, percent)) for percent in (10, 50, 90)}
+    seen = mesh.views > 0
+    sigma = {f"p{percent}": float(np.percentile(mesh.sigma_m[seen], percent)) for percent in (10, 50, 90)}
+    area, of_seen = area_m2(mesh), area_m2(mesh._replace(faces=seen_faces(mesh)))
     if made.metres:
         lengths: dict[str, Any] = {
-            "area_m2": round(area_m2(mesh), 4),
+            "area_m2": round(area, 4),
             "size_m": size,
             "sigma_mm": {name: round(1e3 * value, 2) for name, value in sigma.items()},
         }
     else:
         lengths = {
-            "area_units2": float(f"{area_m2(mesh):.4g}"),
+            "area_units2": float(f"{area:.4g}"),
             "size_units": size,
             "sigma_units": {name: float(f"{value:.3g}") for name, value in sigma.items()},
         }
@@ -181,7 +186,8 @@ def figures_of(views: Sequence[View], mesh: Mesh, made: Made) -> dict[str, Any]:
         "vertices": len(mesh.vertices_m),
         "triangles": len(mesh.faces),
         **lengths,
-        "seen_by_one": round(float(np.mean(mesh.views <= 1)), 4),
+        "concluded": round(1.0 - of_seen / area, 4),  # share of the area
+        "seen_by_one": round(float(np.mean(mesh.views[seen] == 1)), 4),
         "by_plane_sweep": round(made.built.swept, 4),
     }
 
@@ -202,7 +208,11 @@ def area_m2(mesh: Mesh) -> float:
 # metres mean what they say. What is written of them is in their own unit again.
 
 NEAR, FAR = 0.25, 5.0  # shares of that, between which things are looked for
+EVERYWHERE = Range(NEAR * DISTANCE_M, FAR * DISTANCE_M)
 STEPS = 2.0  # of the wide sweep, as sigma: what its depths are good for
+SMALLER = 2  # times, are the pictures that are looked through first
+
+Depths = NDArray[np.float32]
 
 
 def scale_of(views: Sequence[View]) -> float:
@@ -247,14 +257,27 @@ def scaled_mesh(mesh: Mesh, by: float) -> Mesh:
 
 
 def with_depths(views: Sequence[View], progress: Progress) -> list[View]:
-    """Views of a scene of the size of a tank, with depths where two neighbours have the same."""
-    everywhere = Range(NEAR * DISTANCE_M, FAR * DISTANCE_M)
+    """Views of a scene of the size of a tank, with depths where two neighbours have the same.
+
+    In smaller pictures first: that is most of the work saved, and windows are larger there, in which more has texture.
+    """
+    small = [smaller(view, SMALLER) for view in views]
+    first = _looked_for(small, None, lambda done, total: progress(done, 2 * total))
+    before = np.full(stacked(views, 0).depth_m.shape, np.nan, np.float32)
+    for n, depth in enumerate(first):
+        large = np.kron(depth, np.ones((SMALLER, SMALLER), np.float32))
+        before[n, : large.shape[0], : large.shape[1]] = large
+    found = _looked_for(views, before, lambda done, total: progress(total + done, 2 * total))
+    step = (1.0 / EVERYWHERE.near_m - 1.0 / EVERYWHERE.far_m) / EVERYWHERE.hypotheses
+    return [
+        replace(view, depth_m=depth, sigma_m=(STEPS * step * depth**2).astype(np.float32))
+        for view, depth in zip(views, found, strict=True)
+    ]
+
+
+def _looked_for(views: Sequence[View], before: Depths | None, progress: Progress) -> list[Depths]:
+    """Depths (height, width) of each view, all along the line of sight where there was none before."""
     guess = [replace(view, depth_m=np.full_like(view.depth_m, DISTANCE_M)) for view in views]
-    near_by = neighbours(stacked(guess))
-    found = plane_sweep(stacked(views), near_by, progress, everywhere)
-    step = (1.0 / everywhere.near_m - 1.0 / everywhere.far_m) / everywhere.hypotheses
-    result = []
-    for n, view in enumerate(views):
-        depth = found.depth_m[n, : view.camera.height, : view.camera.width]
-        result.append(replace(view, depth_m=depth, sigma_m=(STEPS * step * depth**2).astype(np.float32)))
-    return result
+    near_by = neighbours(stacked(guess, 0))
+    found = plane_sweep(stacked(views), near_by, progress, EVERYWHERE, before).depth_m
+    return [found[n, : view.camera.height, : view.camera.width] for n, view in enumerate(views)]

@@ -112,6 +112,7 @@ def test_views_that_are_off_make_a_worse_scene(floor: Rendered) -> None:
     assert exact["median_mm"] < 0.5 and exact["focus_complete_10mm"] > 85.0
     assert exact["median_mm"] < off["median_mm"]
     assert exact["known_db"] > 15.0
+    assert 0.0 <= exact["concluded_share"] < 20.0 and exact["whole_complete_10mm"] >= exact["focus_complete_10mm"] - 5.0
     assert exact["off_mm"] < 1e-6 < off["off_mm"]
 
 
@@ -122,17 +123,22 @@ def test_a_tank_is_as_good_as_in_its_worse_water_and_refined_poses_lose() -> Non
         "sweep_objects_mm": 0.6,
         "median_mm": 0.3,
         "f5": 89.0,
+        "concluded_share": 4.0,
+        "concluded_median_mm": 3.0,
+        "concluded_within": 90.0,
+        "whole_complete_10mm": 95.0,
         "known_db": 31.0,
         "new_db": 28.0,
         "off_mm": 0.0,
     }
     tap = [{**one, "poses": "exact"}, {**one, "poses": "refined", "f5": 88.0, "new_db": 28.5}] * 2
-    murky = {**one, "known_db": 29.0, "focus_median_mm": 2.6}
+    murky = {**one, "known_db": 29.0, "focus_median_mm": 2.6, "concluded_median_mm": None}
     coastal = [{**murky, "poses": "exact"}, {**murky, "poses": "refined", "f5": 86.0}] * 2
     found = scenes.summary({"tap": tap, "coastal": coastal})
     assert found["focus_median_mm"] == Quantile([2.6, 2.6], 80.0)
     assert found["known_db"] == Quantile([29.0, 29.0], 20.0)
     assert found["lost_f5"] == Quantile([3.0, 3.0], 80.0) and found["lost_new_db"] == Quantile([0.0, 0.0], 80.0)
+    assert found["concluded_median_mm"] == 3.0, "where nothing was concluded there is nothing to be wrong"
     assert found["refined_f5"] == 87.0 and "noisy_f5" not in found
     told = scenes.summary({"tap": [{**one, "poses": "exact", "sweep_objects_mm": None}]})
     assert told["sweep_objects_mm"] == Quantile([math.inf], 80.0) and "lost_f5" not in told

@@ -18,9 +18,9 @@ from scipy.spatial import cKDTree
 from agent.core.config import WaterKind
 from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Value
 from agent.experiments.reconstruction.render import BOX_M, MOORED, Rendered, noisy, render
-from agent.reconstruction.fusion import CELL_M, fuse, merged, swept_twice
+from agent.reconstruction.fusion import CELL_M, fuse, merged, surface_of, swept_twice
 from agent.reconstruction.held_back import ImageModel, judged
-from agent.reconstruction.mesh import coloured, mesh_of
+from agent.reconstruction.mesh import Mesh, mesh_of
 from agent.reconstruction.pose_evidence import apart, between, by_motion
 from agent.reconstruction.refine_poses import refine
 from agent.reconstruction.run import image_model
@@ -36,6 +36,7 @@ from hw.twin.scene import Solid
 
 NEAR_M, F_M = 10e-3, 5e-3  # a place counts as covered within the first; precision and recall of F within the second
 THIN_M = 4e-3  # cells of which one true place is kept: of the floor no more than of a stone
+WITHIN = 2.0  # standard deviations
 HIDDEN = 1.01  # a place is seen if nothing is nearer by more than this factor
 
 
@@ -150,6 +151,22 @@ def into_truth(points_m: Floats, views: Sequence[View], rendered: Rendered) -> F
     return np.asarray(points_m @ motion.rotation.T + motion.shift_m)
 
 
+def concluded(mesh: Mesh, places_m: Floats, rendered: Rendered, truth_m: Floats) -> Row:
+    """What the surface gains by what nobody saw; places_m (n, 3): its vertices in the true world."""
+    nobody = mesh.views == 0
+    found: Row = {
+        "concluded_share": 100.0 * float(nobody.mean()),
+        "whole_complete_10mm": score(places_m, rendered, truth_m).complete_10mm,
+        "concluded_median_mm": None,
+        "concluded_within": None,
+    }
+    if nobody.any():
+        distance, _ = distances_to(places_m[nobody], BOX_M, rendered.scene.solid)
+        found["concluded_median_mm"] = 1e3 * float(np.median(distance))
+        found["concluded_within"] = 100.0 * float(np.mean(distance < WITHIN * mesh.sigma_m[nobody]))
+    return found
+
+
 # --- the claim ---
 
 WATERS: tuple[WaterKind, ...] = ("tap", "coastal")
@@ -172,7 +189,7 @@ def judged_scene(rendered: Rendered, truth_m: Floats, poses: Poses, seed: int) -
 
     depths = zip(views, together.depth_m, together.sigma_m, strict=True)
     better = [replace(view, depth_m=depth_m, sigma_m=sigma_m) for view, depth_m, sigma_m in depths]
-    mesh = coloured(mesh_of(fuse(together, CELL_M)), together)
+    mesh = surface_of(better, CELL_M)
     model = image_model("surfels", better, mesh, CELL_M, lambda done, total: None)
     focus, both, (known_db, new_db) = told(by_focus), told(together), psnr_known_new(model, rendered, views)
     return {
@@ -182,6 +199,7 @@ def judged_scene(rendered: Rendered, truth_m: Floats, poses: Poses, seed: int) -
         "sweep_objects_mm": told(by_focus._replace(depth_m=found.depth_m, sigma_m=found.sigma_m)).objects_mm,
         "median_mm": both.median_mm,
         "f5": both.f5,
+        **concluded(mesh, into_truth(mesh.vertices_m, views, rendered), rendered, truth_m),
         "known_db": known_db,
         "new_db": new_db,
         "off_mm": off_mm(views, rendered.trained),
@@ -217,6 +235,9 @@ def summary(rows: Rows) -> dict[str, Value]:
         found[key] = Quantile([max(_or_never(row[key]) for row in tank) for tank in exact], TANKS)
     for key in ("focus_complete_10mm", "f5", "known_db", "new_db") if exact else ():
         found[key] = Quantile([min(row[key] for row in tank) for tank in exact], 100.0 - TANKS)
+    for key in ("concluded_share", "concluded_median_mm", "concluded_within", "whole_complete_10mm") if exact else ():
+        values = [row[key] for tank in exact for row in tank if row[key] is not None]
+        found[key] = float(np.mean(values)) if values else math.nan
     for key in ("f5", "known_db", "new_db") if exact and refined else ():
         pairs = [zip(*tanks, strict=True) for tanks in zip(exact, refined, strict=True)]
         found[f"lost_{key}"] = Quantile([max(a[key] - b[key] for a, b in tank) for tank in pairs], TANKS)
@@ -248,6 +269,10 @@ CLAIM = Claim(
         Figure("sweep_objects_mm", "by comparing pictures alone: mean error on things", "mm", most=1.0),
         Figure("median_mm", "surface by both: its median error", "mm"),
         Figure("f5", "its F of precision and recall within 5 mm", "%", least=85.0),
+        Figure("concluded_share", "of the vertices of the whole surface nobody saw", "%"),
+        Figure("concluded_median_mm", "what was concluded there: its median error, mean of the tanks", "mm"),
+        Figure("concluded_within", "it is within two of its standard deviations", "%"),
+        Figure("whole_complete_10mm", "seen or concluded within 10 mm, of what two views see", "%"),
         Figure("known_db", "photographs from known stations: PSNR", "dB", least=30.0),
         Figure("new_db", "photographs from new stations", "dB", least=27.0),
         Figure("noisy_off_mm", "poses as surveyed by hand are off, mean", "mm"),
