@@ -1,0 +1,1 @@
+"""The twin before programs that nobody here wrote."""
