@@ -2,7 +2,7 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv run test firmware docs fuzz lint format clean
+.PHONY: venv run test firmware docs outside fuzz lint format clean
 
 venv: .venv/ready
 run: .venv/ready
@@ -24,6 +24,11 @@ docs: .venv/ready-docs
 FUZZ_SECONDS ?= 600
 fuzz: .venv/ready-test
 	$(BIN)/python -m tests.fuzz all --seconds $(FUZZ_SECONDS) $(FUZZ)
+
+# Programs that nobody here wrote judge the twin (docs/outside.md). One that cannot be installed is named, the rest goes on.
+outside: .venv/ready-test
+	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --editable '.[outside]'
+	$(BIN)/python -m tests.studies.outside --write
 
 lint: .venv/ready-test
 	$(BIN)/ruff check .

@@ -4,10 +4,17 @@ from __future__ import annotations
 
 import argparse
 import sys
+from collections.abc import Sequence
+from datetime import UTC, datetime
 from importlib import import_module
+
+from tests.places import ROOT
+from tests.studies.outside.finding import Finding
 
 JUDGES = {"body": "mujoco auv-sim-bench", "optics": "mitsuba"}  # and what to install for each
 ROOM = "tests.studies.outside"
+PAGE = ROOT / "docs" / "outside.md"
+HEAD = {"body": "## Body, and the control law on it", "optics": "## Optics"}  # of the page, each before its table
 
 
 def main() -> int:
@@ -15,19 +22,36 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog=f"python -m {ROOM}", description=__doc__)
     parser.add_argument("judge", nargs="*", choices=[*JUDGES, []], help="all, if none is named")
     parser.add_argument("--quick", action="store_true", help="a small part of each")
+    parser.add_argument("--write", action="store_true", help=f"put the tables into {PAGE.relative_to(ROOT)}")
     given = parser.parse_args()
     for name in given.judge or JUDGES:
         try:
-            module = import_module(f"{ROOM}.{name}")
+            found = import_module(f"{ROOM}.{name}").judge(given.quick)
         except ImportError as error:
             sys.stdout.write(f"{name}: not judged ({error}): pip install {JUDGES[name]}\n")
             continue
-        for one in module.judge(given.quick):
-            mark = "agrees" if one.passes else "differs"
-            sys.stdout.write(
-                f"{mark:8} {one.quantity}: twin {one.twin:.4g}, {one.judge} {one.outside:.4g} {one.unit}\n"
-            )
+        rows = table(found)
+        sys.stdout.write("\n".join(rows) + "\n")
+        if given.write:
+            PAGE.write_text(with_table(PAGE.read_text(), HEAD[name], rows))
     return 0
+
+
+def table(found: Sequence[Finding]) -> list[str]:
+    """As Markdown; what the judge says otherwise is bold."""
+    rows = [f"Judged on {datetime.now(UTC):%Y-%m-%d}.", "", "| quantity | twin | judge | by |", "|---|---|---|---|"]
+    for one in found:
+        theirs = f"{one.outside:.4g}" if one.passes else f"**{one.outside:.4g}**"
+        what = f"{one.quantity}, {one.unit}" if one.unit else one.quantity
+        rows.append(f"| {what} | {one.twin:.4g} | {theirs} | {one.judge} |")
+    return rows
+
+
+def with_table(page: str, head: str, rows: Sequence[str]) -> str:
+    """The page with the lines below a heading, up to the next heading, in place of what stands there."""
+    before, _, rest = page.partition(f"{head}\n")
+    _, mark, after = rest.partition("\n## ")
+    return f"{before}{head}\n\n" + "\n".join(rows) + "\n" + mark + after
 
 
 if __name__ == "__main__":
