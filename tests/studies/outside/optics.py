@@ -321,7 +321,11 @@ def _peak(position: Numbers, clarity: Numbers) -> tuple[float, float]:
     high = clarity > 0.7 * clarity.max()
     fit = np.polynomial.Polynomial.fit(position[high], clarity[high], 2)
     top = float(fit.deriv().roots()[0].real)
-    half = clarity > clarity.max() / 2
-    order = np.argsort(position)
-    above = position[order][half[order]]
-    return top, float(above[-1] - above[0])
+    order, half = np.argsort(position), clarity.max() / 2
+    x, y = position[order], clarity[order]
+    above = np.flatnonzero(y > half)
+    ends = [
+        float(np.interp(half, (y[low], y[high]), (x[low], x[high])))
+        for low, high in ((max(above[0] - 1, 0), above[0]), (min(above[-1] + 1, len(y) - 1), above[-1]))
+    ]
+    return top, ends[1] - ends[0]
