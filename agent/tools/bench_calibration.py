@@ -68,7 +68,7 @@ WHOLE = (
 )  # the distances, counted from 1, at which all of the picture is read: 0.48 and 0.33 m, full of the board
 FEWEST_PLACES = 12  # in these sweeps, to tell three numbers and some to check them with
 WHOLE_FLANKS, WHOLE_STEPS = 1.8, 13  # half widths on either side of the peak of the middle, and pictures
-BLOCK_PX = 64  # side of the places that tell how peaks aside differ
+BLOCKS_ACROSS = 10  # places in a row of the picture that tell how peaks aside differ; they are square
 FLANKS = 1.5  # half widths on either side of the peak that the grain is fitted over
 EDGE_SHARE, EDGE_RIM_PX = 0.3, 3  # of the steepest slope; leaves a fifth of the picture to the grain at 1.2 m
 HOMING_S = 0.2  # the lens across its whole range
@@ -221,7 +221,7 @@ def on_board(found: Sequence[SeenAside], fleet: Fleet, seen: CameraFit) -> list[
         x, y = m[0] / m[2], m[1] / m[2]
         across = x * math.sin(pan) + y * math.sin(tilt) * math.cos(pan)
         z_m = (ahead_m + seen.ahead_m * across) / (math.cos(pan) * math.cos(tilt) + across)
-        rim_m = BLOCK_PX / seen.f_px * z_m
+        rim_m = seen.width_px / BLOCKS_ACROSS / seen.f_px * z_m
         left_m = z_m * math.sin(pan) - (z_m - seen.ahead_m) * x
         up_m = z_m * math.sin(tilt) - (z_m - seen.ahead_m) * y
         if abs(left_m) < half_m[0] - rim_m and abs(up_m) < half_m[1] - rim_m:
@@ -292,13 +292,13 @@ def board_peak(swept: BoardSweep) -> Peak | None:
 def peaks_aside(swept: BoardSweep) -> list[tuple[tuple[float, float], Peak]]:
     """Peaks of the grain all over the picture, by blocks, with their middles."""
     (x, y, width, height), lens_positions, pictures = swept
-    found: list[tuple[tuple[float, float], Peak]] = []
-    for top, left in itertools.product(*(range(0, side - BLOCK_PX + 1, BLOCK_PX) for side in (height, width))):
-        here = np.s_[top : top + BLOCK_PX, left : left + BLOCK_PX]
-        part = Roi(x + left, y + top, BLOCK_PX, BLOCK_PX)
+    side, found = width // BLOCKS_ACROSS, list[tuple[tuple[float, float], Peak]]()
+    for top, left in itertools.product(range(0, height - side + 1, side), range(0, width - side + 1, side)):
+        here = np.s_[top : top + side, left : left + side]
+        part = Roi(x + left, y + top, side, side)
         peak = board_peak(BoardSweep(part, lens_positions, [picture[here] for picture in pictures]))
         if peak is not None:
-            found.append(((part.x + (BLOCK_PX - 1) / 2, part.y + (BLOCK_PX - 1) / 2), peak))
+            found.append(((part.x + (side - 1) / 2, part.y + (side - 1) / 2), peak))
     return found
 
 
