@@ -115,7 +115,7 @@ MISTAKES = [
 def test_mistakes(arguments, expected, folder, tmp_path, monkeypatch, capsys):
     fleet_file(tmp_path)
     camera, focus = (msgspec.to_builtins(part) for part in (CAMERA, PLAIN))
-    del focus["sag_sigma"], camera["covariance"]  # TOML has no word for what nobody measured
+    del focus["sag_sigma"], focus["field"], camera["covariance"]  # TOML has no word for what nobody measured
     calibration = {"robot": "r1", "made": "2026-01-01", "source": "a test", "focus": focus, "camera": camera}
     (tmp_path / "r1.toml").write_text(tomli_w.dumps(calibration))
     monkeypatch.chdir(tmp_path)
