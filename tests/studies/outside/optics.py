@@ -252,7 +252,7 @@ def _reference(samples: int) -> Numbers:
 
 def attenuation(quick: bool) -> Iterator[Finding]:
     """Light of a lamp that a wall sends back, through water that only absorbs: middle colour."""
-    samples = 64 if quick else 256
+    samples = 64 if quick else 4096
     unit = _reference(samples)
     for range_m in (1.5,) if quick else (0.5, 1.0, 2.0):
         for ray in RAYS[1:2] if quick else RAYS:
@@ -276,8 +276,8 @@ def backscatter(quick: bool) -> Iterator[Finding]:
 # --- clarity ---
 
 PEAKS = ((0.5, (256, 192, 128, 96)), (0.8, (256, 192, 128, 96)), (0.8, (8, 192, 128, 96)), (0.8, (508, 8, 128, 96)))
-STEPS = np.linspace(-2.4, 1.8, 15)  # dioptres around the vergence on the axis; off it points look nearer
-LIGHT = 0.8  # share of full scale of the brightest wall
+STEPS = np.linspace(-2.4, 1.5, 14)  # dioptres around the vergence on the axis; off it points look nearer
+FLANK = 0.7  # of the greatest clarity
 
 
 def peaks(quick: bool) -> Iterator[Finding]:
@@ -317,15 +317,14 @@ def _clarity(picture: NDArray[np.floating]) -> float:
 
 
 def _peak(position: Numbers, clarity: Numbers) -> tuple[float, float]:
-    """Top of a parabola through what is above 0.7 of the greatest, and the width at half of it."""
-    high = clarity > 0.7 * clarity.max()
-    fit = np.polynomial.Polynomial.fit(position[high], clarity[high], 2)
-    top = float(fit.deriv().roots()[0].real)
-    order, half = np.argsort(position), clarity.max() / 2
-    x, y = position[order], clarity[order]
-    above = np.flatnonzero(y > half)
-    ends = [
-        float(np.interp(half, (y[low], y[high]), (x[low], x[high])))
-        for low, high in ((max(above[0] - 1, 0), above[0]), (min(above[-1] + 1, len(y) - 1), above[-1]))
-    ]
-    return top, ends[1] - ends[0]
+    """Top of a parabola through what is above 0.7 of the greatest, and the width there. Mitsuba's lens cannot be set
+    beyond infinity, where half of the greatest may lie. Raises ValueError for a peak that is wider than the sweep."""
+    order = np.argsort(position)
+    x, y = position[order], clarity[order] / clarity.max()
+    high = y > FLANK
+    if high[0] or high[-1]:
+        raise ValueError("the peak is wider than the sweep")
+    fit = np.polynomial.Polynomial.fit(x[high], y[high], 2)
+    first, last = np.flatnonzero(high)[[0, -1]]
+    low, up = (np.interp(FLANK, y[[a, b]], x[[a, b]]) for a, b in ((first - 1, first), (last + 1, last)))
+    return float(fit.deriv().roots()[0].real), float(up - low)

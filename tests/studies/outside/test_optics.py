@@ -35,7 +35,7 @@ def test_the_peak_of_a_known_curve_is_found():
     position = np.linspace(0, 100, 21)
     top, width = optics._peak(position, np.exp(-(((position - 53) / 20) ** 2)))
     assert top == pytest.approx(53, abs=0.3)
-    assert width == pytest.approx(2 * 20 * math.sqrt(math.log(2)), abs=5)
+    assert width == pytest.approx(2 * 20 * math.sqrt(math.log(1 / 0.7)), rel=0.05)
 
 
 @pytest.mark.slow
