@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from agent.core.ranging.camera_model import CameraFit, FocusFit
+from agent.core.ranging.camera_model import CameraFit, FocusFit, offset
 from agent.core.ranging.focus import (
     Array,
     Method,
@@ -20,7 +20,6 @@ from agent.core.ranging.focus import (
     as_on_axis,
     at_tilt,
     fit_peaks,
-    offset,
     port_share,
     with_sag,
 )
@@ -38,7 +37,7 @@ from agent.experiments.still_camera import (
     sweep_view,
     truth_on,
 )
-from agent.perception.depth_peaks import each_part
+from agent.perception.depth_peaks import each_part, middle_px
 from agent.perception.depth_sweep import MIN_QUALITY, DepthMap, clarity_of, measure
 from agent.tools.focus_calibration import Aside, FocusRow, fit_field, fit_focus
 from hw.camera.camera import Roi
@@ -79,7 +78,7 @@ def wall_places(camera: StillCamera, growth: float) -> list[Aside]:
         camera.view = facing_wall(u_m)
         peaks = measure(clarity_of(sweep(camera), rho, BLOCK_PX, growth), BLOCK_PX, None).blocks
         for row, col in np.argwhere(peaks.accepted):
-            px = (float(col) + 0.5) * BLOCK_PX - 0.5, (float(row) + 0.5) * BLOCK_PX - 0.5
+            px = middle_px(int(row), int(col), BLOCK_PX)
             peak, sigma = float(peaks.lens_position[row, col]), float(peaks.sigma[row, col])
             places.append(Aside(number, as_on_axis(u_m, port_share(seen, px)), offset(seen, px), peak, sigma))
     return places

@@ -45,6 +45,11 @@ T = TypeVar("T", bound=np.generic)
 Corner = tuple[float, float]
 
 
+def middle_px(row: int, col: int, side_px: float, corner_px: Corner = (0.0, 0.0)) -> Corner:
+    """The middle of a square of a grid, whose first begins at corner_px; a pixel's centre is a whole number."""
+    return corner_px[0] + (col + 0.5) * side_px - 0.5, corner_px[1] + (row + 0.5) * side_px - 0.5
+
+
 def z_depth(focus: FocusFit, camera: CameraFit | None, rho: float, px: tuple[float, float]) -> float | None:
     """From the pivot, along the axis, of what is sharp at rho and seen at a pixel; None: sharp at infinity."""
     if camera is None:
@@ -100,7 +105,7 @@ class GridPeaks(NamedTuple):
         corner_px of the camera's picture. Without a camera all are ranged as if they were on its axis."""
         range_m = np.full(self.reason.shape, np.nan)
         for row, col in np.argwhere(self.accepted):
-            centre_px = corner_px[0] + (col + 0.5) * side_px - 0.5, corner_px[1] + (row + 0.5) * side_px - 0.5
+            centre_px = middle_px(int(row), int(col), side_px, corner_px)
             z_m = z_depth(focus, camera, float(self.lens_position[row, col]), centre_px)
             if z_m is not None:  # else sharp at infinity
                 range_m[row, col] = z_m

@@ -28,7 +28,16 @@ from agent.clock import machine
 from agent.clock.clock import SystemClock
 from agent.core.config import ConfigError, Fleet, dump, write_whole
 from agent.core.messages import Vector
-from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, TimingFit, gimbal_deg, ray, servos_us
+from agent.core.ranging.camera_model import (
+    Calibration,
+    CameraFit,
+    FocusFit,
+    TimingFit,
+    gimbal_deg,
+    offset,
+    ray,
+    servos_us,
+)
 from agent.core.ranging.focus import (
     Array,
     Peak,
@@ -37,7 +46,6 @@ from agent.core.ranging.focus import (
     fit_peak,
     in_direction,
     lens_position,
-    offset,
     phase_sigma,
     port_share,
     shift,
@@ -200,13 +208,8 @@ def over_window(seen: CameraFit, of_px: Callable[[tuple[float, float]], float]) 
     """The mean of something over the part of the picture in which a board is read, as pixels count there."""
     x, y, width, height = middle_of((seen.width_px, seen.height_px))
     fades = np.hanning(COARSE_PX + 2)[1:-1]
-    values = [
-        [
-            of_px((x + (i + 0.5) * width / COARSE_PX - 0.5, y + (j + 0.5) * height / COARSE_PX - 0.5))
-            for i in range(COARSE_PX)
-        ]
-        for j in range(COARSE_PX)
-    ]
+    middles = [(k + 0.5) / COARSE_PX for k in range(COARSE_PX)]
+    values = [[of_px((x + i * width - 0.5, y + j * height - 0.5)) for i in middles] for j in middles]
     return float(np.average(values, weights=np.outer(fades, fades)))
 
 
@@ -233,7 +236,6 @@ def on_board(found: Sequence[SeenAside], fleet: Fleet, seen: CameraFit) -> list[
 class BoardSweep(NamedTuple):
     """Grey pictures of a part of the frame, one a lens position."""
 
-    part: Roi
     lens_positions: list[float]
     pictures: list[NDArray[np.uint8]]
 
@@ -260,7 +262,7 @@ def sweep_board(fleet: Fleet, camera: TimedCamera, limits: FocusRange, part: Roi
         frame = camera.read(part, settle_s=fleet.camera.settle_s)
         lens_positions.append(camera.lens_position(frame.t_ns) or reported)
         pictures.append(luminance(frame.image))
-    return BoardSweep(part, lens_positions, pictures)
+    return BoardSweep(lens_positions, pictures)
 
 
 def board_peak(swept: BoardSweep) -> Peak | None:
@@ -270,7 +272,7 @@ def board_peak(swept: BoardSweep) -> Peak | None:
     grows by percents as the lens moves, so edges gain and lose gradient during the sweep. On the twin that scatters
     peaks by 2.6 lens positions, 5 mm at half a metre; the grain alone repeats to 0.5.
     """
-    _, lens_positions, pictures = swept
+    lens_positions, pictures = swept
     window = np.outer(*map(np.hanning, pictures[0].shape))  # what grows over the border leaves no step
     energies = [gradient_energy(picture) for picture in pictures]
     clarity = [float((energy * window).sum()) for energy in energies]
@@ -290,15 +292,14 @@ def board_peak(swept: BoardSweep) -> Peak | None:
 
 
 def peaks_aside(swept: BoardSweep) -> list[tuple[tuple[float, float], Peak]]:
-    """Peaks of the grain all over the picture, by blocks, with their middles."""
-    (x, y, width, height), lens_positions, pictures = swept
+    """Peaks of the grain all over the picture, which was read whole, by blocks, with their middles."""
+    height, width = swept.pictures[0].shape
     side, found = width // BLOCKS_ACROSS, list[tuple[tuple[float, float], Peak]]()
     for top, left in itertools.product(range(0, height - side + 1, side), range(0, width - side + 1, side)):
         here = np.s_[top : top + side, left : left + side]
-        part = Roi(x + left, y + top, side, side)
-        peak = board_peak(BoardSweep(part, lens_positions, [picture[here] for picture in pictures]))
+        peak = board_peak(BoardSweep(swept.lens_positions, [picture[here] for picture in swept.pictures]))
         if peak is not None:
-            found.append(((part.x + (side - 1) / 2, part.y + (side - 1) / 2), peak))
+            found.append(((left + (side - 1) / 2, top + (side - 1) / 2), peak))
     return found
 
 
@@ -589,8 +590,8 @@ def _curving(focus: FocusFit, camera: CameraFit) -> str:
         return (
             "not measured, for too little of the picture showed the board; ranges aside are taken for those of the axis"
         )
-    corners = [(x, y) for x in (0.0, camera.width_px - 1.0) for y in (0.0, camera.height_px - 1.0)]
-    moved = [in_direction(focus, camera, px) for px in corners]
+    sides = (0.0, camera.width_px - 1.0), (0.0, camera.height_px - 1.0)
+    moved = [in_direction(focus, camera, corner) for corner in itertools.product(*sides)]
     shifts = [each.rho0 - focus.rho0 for each in moved]
     sigma = max(math.sqrt(max(each.covariance[5] - focus.covariance[5], 0.0)) for each in moved)
     return (

@@ -22,12 +22,11 @@ from rich.table import Table
 
 from agent.core.config import ConfigError, convert, read_toml, write_whole
 from agent.core.linear_algebra import upper
-from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit
+from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit, offset
 from agent.core.ranging.focus import (
     TiltedPeak,
     as_on_axis,
     lens_position,
-    offset,
     port_share,
     range_variance,
     shift,
@@ -347,18 +346,19 @@ def without_field(
     plain = [
         row._replace(u_m=as_on_axis(row.u_m, port_share(camera, px))) for row, (_, px) in zip(rows, places, strict=True)
     ]
-    aside = [offset(camera, px) for _, px in places]
-    on_axis, field = plain, None
-    for _ in range(FIELD_PASSES):
-        fit = fit_focus(on_axis)
-        seen = [
-            Aside(sweep, row.u_m, at, row.rho, row.sigma)
-            for row, at, (sweep, _) in zip(plain, aside, places, strict=True)
-        ]
-        field = fit_field(fit, seen)
-        on_axis = [row._replace(rho=row.rho - shift(field, at)) for row, at in zip(plain, aside, strict=True)]
-    assert field is not None
-    return on_axis, field
+    aside = [
+        Aside(sweep, row.u_m, offset(camera, px), row.rho, row.sigma)
+        for row, (sweep, px) in zip(plain, places, strict=True)
+    ]
+    field = fit_field(fit_focus(plain), aside)
+    for _ in range(FIELD_PASSES - 1):
+        field = fit_field(fit_focus(_on_axis(plain, aside, field)), aside)
+    return _on_axis(plain, aside, field), field
+
+
+def _on_axis(rows: Sequence[FocusRow], aside: Sequence[Aside], field: FieldFit) -> list[FocusRow]:
+    """The peaks as they would be on the axis by this field."""
+    return [row._replace(rho=row.rho - shift(field, at.offset)) for row, at in zip(rows, aside, strict=True)]
 
 
 class Place(NamedTuple):

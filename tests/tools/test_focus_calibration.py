@@ -12,8 +12,8 @@ from msgspec.structs import replace
 from rich.console import Console
 
 from agent.core.config import Body, ConfigError, read_toml
-from agent.core.ranging.camera_model import Calibration, CameraFit, load_calibration
-from agent.core.ranging.focus import as_on_axis, h, offset, port_share
+from agent.core.ranging.camera_model import Calibration, CameraFit, load_calibration, offset
+from agent.core.ranging.focus import as_on_axis, h, port_share
 from agent.core.ranging.sweep import full_positions
 from agent.process.command import Failed, plain_console
 from agent.tools import focus_calibration

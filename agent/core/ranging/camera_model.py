@@ -257,9 +257,14 @@ def look_at(
     return math.degrees(math.atan2(y, x)), math.degrees(math.atan2(z, math.hypot(x, y)))
 
 
+def offset(camera: CameraFit, px: tuple[float, float]) -> tuple[float, float]:
+    """(right, down) of a pixel, from the optical axis in f_px."""
+    return (px[0] - camera.cx_px) / camera.f_px, (px[1] - camera.cy_px) / camera.f_px
+
+
 def ray(camera: CameraFit, px: tuple[float, float]) -> Vector:
     """Unit vector in the camera frame along which a pixel looks, from `ahead_m` before the pivot on."""
-    seen_x, seen_y = (px[0] - camera.cx_px) / camera.f_px, (px[1] - camera.cy_px) / camera.f_px
+    seen_x, seen_y = offset(camera, px)
     x, y = seen_x, seen_y
     for _ in range(UNBEND):
         bend = 1.0 + camera.bend * (x * x + y * y)

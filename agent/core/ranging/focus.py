@@ -18,7 +18,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit, ray
+from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit, offset, ray
 
 Array = NDArray[np.float64]
 Method = Literal["matched", "parabola", "argmax"]
@@ -387,11 +387,6 @@ def with_sag(fit: FocusFit, peaks: Sequence[TiltedPeak]) -> FocusFit:
 # water has a curved field, too, with the same form.
 #
 # The share K of a flat port is no part of it: that is a factor of the depth.
-
-
-def offset(camera: CameraFit, px: tuple[float, float]) -> tuple[float, float]:
-    """(right, down) of a pixel, from the optical axis in f_px."""
-    return (px[0] - camera.cx_px) / camera.f_px, (px[1] - camera.cy_px) / camera.f_px
 
 
 def in_direction(fit: FocusFit, camera: CameraFit, px: tuple[float, float]) -> FocusFit:

@@ -6,9 +6,9 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.config import Target
-from agent.core.ranging.camera_model import CameraFit, FieldFit
+from agent.core.ranging.camera_model import CameraFit, FieldFit, offset
 from agent.core.ranging.fix import focus_range
-from agent.core.ranging.focus import in_direction, lens_position, offset, port_share, shift
+from agent.core.ranging.focus import in_direction, lens_position, port_share, shift
 from agent.perception.depth_peaks import z_depth
 from tests.known_lens import FOCUS
 
