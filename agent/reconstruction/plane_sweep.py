@@ -14,6 +14,8 @@ Without the prior 43 % of what is accepted is wrong: on tiles and gravel much lo
 from __future__ import annotations
 
 import math
+import os
+from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
 
 import numpy as np
@@ -222,15 +224,20 @@ def plane_sweep(
     grey = np.ascontiguousarray(grey)
     count = len(grey)
     found = np.full(stack.depth_m.shape, np.nan, np.float32) if before is None else before.copy()
-    tilt = np.zeros((*stack.depth_m.shape[1:], 2))
-    for n in range(count):
-        progress(n, count)
+
+    def sweep(n: int) -> None:
+        tilt = np.zeros((*stack.depth_m.shape[1:], 2))
         if everywhere is None:
             slopes_of_map(stack.depth_m[n], tilt)
             ends, hypotheses = (0.0, 0.0), MOST_HYPOTHESES
         else:
             ends, hypotheses = (1.0 / everywhere.near_m, 1.0 / everywhere.far_m), everywhere.hypotheses
         _sweep(stack, grey, n, neighbours.of[n, :COMPARED], tilt, ends, np.empty(hypotheses), found[n])
+
+    # The kernel holds no lock, and each view is written by its own thread alone.
+    with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as threads:
+        for n, _ in enumerate(threads.map(sweep, range(count))):
+            progress(n, count)
     kept = np.full_like(found, np.nan)
     for n in range(count):
         _agreeing(stack, found, n, neighbours.of[n], 1 if everywhere is None else everywhere.witnesses, kept[n])
