@@ -6,10 +6,12 @@ BIN := .venv/bin
 
 venv: .venv/ready
 run: .venv/ready
+	$(BIN)/python -m hw.compiled
 	$(BIN)/aucamp demo --speed max
 
 # More workers would wait for the one that has tests/network (tests/conftest.py).
 test: .venv/ready-test lint
+	$(BIN)/python -m hw.compiled
 	$(BIN)/pytest -n auto --maxprocesses 4 -rs
 
 # The files that are copied to a board (hw/README.md, "Flash it").

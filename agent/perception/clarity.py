@@ -124,7 +124,7 @@ def _colours(image: NDArray[np.uint8]) -> int:
     return 3 if image.ndim == 3 else 1
 
 
-@kernel
+@compiled("void(u1[:,::1], i8, i8[::1], i8[::1], b1[:,::1], b1, i8[:,::1])", error_model="numpy")
 def _sums(image: Any, colours: int, rows: Edges, cols: Edges, inside: Any, modified: bool, sums: Any) -> None:
     """Energy of each block of the grid: sums (len(rows) - 1, len(cols) - 1) int64.
 
@@ -358,7 +358,7 @@ def solve(x: Array, y: Array, width: float | None) -> Solved:
     return Solved(*out)
 
 
-@kernel
+@compiled("void(f8[::1], f8[:,::1], f8[::1], f8[::1], f8, f8[:,::1])", error_model="numpy")
 def _solve(x: Array, y: Array, centres: Array, widths: Array, tolerance: float, out: Array) -> None:
     """Rows of out (5, m): x0, w, sum of squares of the residuals, height, variance of x0 for unit noise."""
     n, bank = x.size, centres.size

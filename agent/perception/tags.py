@@ -87,16 +87,23 @@ def room(reach_px: float) -> Room:
     return Room(np.empty((2, PROFILES, 2 * steps)), line, pair, line.copy(), line.copy())
 
 
-@kernel
-def fit_edge(plane: Plane, light: Array, start: Array, end: Array, lens: Array, room: Room, line: Array) -> float:
+@compiled(
+    "f8(u1[:,::1], f8[::1], f8[::1], f8[::1], f8[::1], f8[:,:,::1], f8[::1], f8[:,::1], f8[::1], f8[::1], f8[::1])",
+    error_model="numpy",
+)
+def fit_edge(
+    plane: Plane, light: Array, start: Array, end: Array, lens: Array,
+    gradient: Array, at_px: Array, slopes: Array, off: Array, ranked: Array, line: Array,
+) -> float:  # fmt: skip
     """Line (4,), in slopes: a point of it and the unit vector along it from start to end.
 
     plane: one colour of the picture, a byte a pixel; light (256,): linear, of each byte, 1 at the sensor's limit.
     start, end (2,): roughly where the edge ends, pixels; the square is on the right of the way from start to end, y
-    pointing down.
-    lens: f_px, cx_px, cy_px, bend. Returns the variance of the blur, px2, or -1 where the edge leaves the picture, is
-    covered or burnt out; then `line` means nothing.
+    pointing down. lens: f_px, cx_px, cy_px, bend. gradient to ranked: a `Room`.
+    Returns the variance of the blur, px2, or -1 where the edge leaves the picture, is covered or burnt out; then `line`
+    means nothing.
     """
+    room = Room(gradient, at_px, slopes, off, ranked)
     if not _across(plane, light, start, end, room.gradient):
         return -1.0
     rise, counted = room.gradient
@@ -317,7 +324,7 @@ def _fit_once(plane: Plane, light: Array, rough_px: Array, camera: CameraFit, mo
     lens = np.array([camera.f_px, camera.cx_px, camera.cy_px, camera.bend])
     work, lines, most_px2 = room(REACH * module), np.empty((4, 4)), 0.0
     for k in range(4):
-        spread = fit_edge(plane, light, rough_px[k], rough_px[(k + 1) % 4], lens, work, lines[k])
+        spread = fit_edge(plane, light, rough_px[k], rough_px[(k + 1) % 4], lens, *work, lines[k])
         if spread < 0.0:
             return None
         most_px2 = max(most_px2, spread)
