@@ -187,6 +187,7 @@ def compiled(linked: str = "", **options: Any) -> Callable[[F], F]:
 
 _KIND = re.compile(r"([a-z]\d)(\[[:,1]*\])?")  # of an argument: i8, or u1[:,::1]
 _SCALARS = {"i8": (int, np.integer), "f8": (float, np.floating), "b1": (bool, np.bool_)}
+_LAID_OUT = 0x0001 | 0x0100  # numpy's flags: in C order and aligned
 Kind = tuple[Any, int]  # an array's dtype and dimensions, or a number's classes and 0
 
 
@@ -200,11 +201,10 @@ def _is_of(argument: Any, kind: Kind) -> bool:
     if not dimensions:
         return isinstance(argument, what)
     return (
-        isinstance(argument, np.ndarray)
-        and argument.dtype == what
+        type(argument) is np.ndarray
+        and argument.dtype is what  # numpy has one object for each of these; another that is equal goes by numba
         and argument.ndim == dimensions
-        and argument.flags.c_contiguous
-        and argument.flags.aligned
+        and argument.flags.num & _LAID_OUT == _LAID_OUT
     )
 
 
