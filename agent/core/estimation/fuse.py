@@ -116,9 +116,13 @@ class Doubt(NamedTuple):
     strength: float  # 0: none does, 1: one is wrong for certain
     ways: list[tuple[float, Without]]  # "all are right but these", with probabilities of sum 1; empty at strength 0
 
-    def factor(self, origin: str) -> float:
-        """What is left of an origin's weight."""
-        return 1.0 - self.strength * math.fsum(p for p, without in self.ways if origin in without.out)
+    def factors(self, group: Iterable[Opinion]) -> dict[str, float]:
+        """What is left of the weight of each of the group."""
+        wrong: dict[str, list[float]] = {opinion.origin: [] for opinion in group}
+        for p, without in self.ways:
+            for origin in without.out:
+                wrong[origin].append(p)
+        return {origin: 1.0 - self.strength * math.fsum(each) for origin, each in wrong.items()}
 
 
 class Parts(NamedTuple):
@@ -159,7 +163,7 @@ def fuse(opinions: Sequence[Opinion], shared: Shared = NONE, liars: int = 1) -> 
     x, covariance = everybody
     if doubt.ways:
         x, covariance = mixture([(1.0 - doubt.strength, *everybody), *_places(group, doubt, shared)])
-    factors = {opinion.origin: doubt.factor(opinion.origin) for opinion in group}
+    factors = doubt.factors(group)
     sizes = {opinion.origin: factors[opinion.origin] * trace(opinion.precision) for opinion in group}
     total = math.fsum(sizes.values())
     return Fused(
@@ -176,11 +180,11 @@ def fuse(opinions: Sequence[Opinion], shared: Shared = NONE, liars: int = 1) -> 
 def _places(group: Sequence[Opinion], doubt: Doubt, shared: Shared) -> Iterator[tuple[float, Vector, Symmetric]]:
     """Where a group puts the target without those that may be wrong."""
     for p, way in doubt.ways:
-        others = [opinion for opinion in group if opinion.origin not in way.out]
+        others = (opinion for opinion in group if opinion.origin not in way.out)
         yield doubt.strength * p, way.x_m, plus(way.cov_m2, _stretched(others, way.cov_m2, shared))
 
 
-def _stretched(group: Sequence[Opinion], covariance: Symmetric, shared: Shared) -> Symmetric:
+def _stretched(group: Iterable[Opinion], covariance: Symmetric, shared: Shared) -> Symmetric:
     """S^2 (g g' - sum W a a' W'): what one scale for all makes of the mean of a group, beyond what each has of it."""
     scale = shared.scale
     if scale == 0.0:
@@ -324,7 +328,8 @@ def vote(opinions: Sequence[Opinion]) -> Ballot:
     """
     groups, distances2 = _consistent(opinions)
     most = max(map(len, groups))
-    tied = list(dict.fromkeys(tuple(group) for group in groups if len(group) == most))
+    largest = {id(group): group for group in groups if len(group) == most}  # of many, all that agree share one list
+    tied = list(dict.fromkeys(map(tuple, largest.values())))
     group = tied[0] if len(tied) == 1 else min(tied, key=lambda each: _spread(each, distances2))
     return Ballot(
         frozenset(opinions[j].origin for j in group),
@@ -346,8 +351,9 @@ def _consistent(opinions: Sequence[Opinion]) -> tuple[list[list[int]], list[list
     n = len(opinions)
     if n > VOTERS:
         median = _median(opinions)
-        near = [j for j, o in enumerate(opinions) if quadratic(o.precision, difference(o.x_m, median)) < AGREE]
-        return [near if j in near else [j] for j in range(n)], []
+        agrees = [quadratic(o.precision, difference(o.x_m, median)) < AGREE for o in opinions]
+        near = [j for j in range(n) if agrees[j]]
+        return [near if agrees[j] else [j] for j in range(n)], []
     consistent: list[list[int]] = [[j] for j in range(n)]
     distances2: list[list[float]] = []
     for j in range(n):

@@ -193,7 +193,8 @@ class MovingTarget(Revertible):
         if track is None or ballot is None or posterior is None or not believable:
             # Not seen for a whole window, or out of the tank: the last place is a better guess than an old speed.
             return Conclusion(before, "hold", 0.0, Explain(status="none", epoch=self._epoch))
-        factors = {o.origin: doubt.factor(o.origin) if o.origin in ballot.group else 0.0 for o in opinions}
+        counted = doubt.factors([o for o in opinions if o.origin in ballot.group])
+        factors = {o.origin: counted.get(o.origin, 0.0) for o in opinions}
         shares = _shares(fresh, {name: factor for name, factor in factors.items() if name in ballot.group})
         explain = Explain(
             status=ballot.verdict,

@@ -389,4 +389,4 @@ def test_a_sure_lie_stays_in_sight_though_the_track_through_it_grew_vague() -> N
     assert doubts(opinions).strength == 0.0, "by its place alone nobody would doubt it"
     doubt = doubts(opinions, beside=distances2(found))
     assert doubt.strength == 1.0
-    assert doubt.factor("r0") < 0.05
+    assert doubt.factors(opinions)["r0"] < 0.05
