@@ -18,16 +18,13 @@ from agent.capabilities.survey.coverage_map import (
     ONE,
     CoverageMap,
     Key,
-    along,
-    block_slopes,
     grid_of,
     place_m,
-    rotation,
+    places_m,
 )
 from agent.core import topics
 from agent.core.capability_messages import (
     TURN_ONE,
-    UNIT_M,
     Claim,
     Frame,
     Keyframe,
@@ -35,7 +32,6 @@ from agent.core.capability_messages import (
     claim_fault,
     frame_fault,
     holds,
-    measured,
 )
 from agent.core.codec import Refusal, decode
 from agent.core.config import Fleet
@@ -114,14 +110,9 @@ def looking(view: View, t_ns: int) -> Any:
 
 def points(frame: Frame, t_ns: int) -> Any:
     """foxglove.PointCloud of the blocks that have a depth, in the world: sigma_m of each, near ones bright."""
-    r, at = rotation(frame.turn), place_m(frame.place)
-    slopes, ahead_m, known = block_slopes(frame.lens, len(frame.sigmas)), frame.lens.ahead * UNIT_M, measured(frame)
-    places = np.empty((len(known), 3), np.float32)
-    for row, (k, z_m, _) in enumerate(known):
-        x, y = (s * (z_m - ahead_m) / z_m for s in slopes[k])
-        places[row] = [a + z_m * way for a, way in zip(at, along(r, (x, y)), strict=True)]
-    sigmas = np.array([sigma_m for _, _, sigma_m in known], np.float32)
-    depths = np.array([z_m for _, z_m, _ in known], np.float32)
+    known = places_m(frame)
+    places = np.array([place for _, place, _, _ in known], np.float32).reshape(-1, 3)
+    depths, sigmas = (np.array([row[k] for row in known], np.float32) for k in (2, 3))
     grey = np.clip(255.0 * (1.2 - depths), 40.0, 255.0).astype(np.uint8)
     return foxglove.world_cloud(places, np.repeat(grey[:, None], 3, axis=1), {"sigma_m": sigmas}, t_ns)
 

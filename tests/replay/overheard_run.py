@@ -25,6 +25,10 @@ def overheard_run(
             fleet = {"fleet": box.fleet.fleet, "robot": box.robot}
             sent += [(step.now_ns, topics.key(topics.LINK, **fleet, src=e.src, dst=e.dst), e) for e in outputs.says]
             sent += [(step.now_ns, topics.key(topics.STATE, **fleet), s) for s in (outputs.state,) if s is not None]
+            for said in outputs.outgoing or ():
+                topic = next(one for one in topics.TOPICS if one.name == said.topic)
+                key = topics.key(topic, **fleet, src=box.robot, dst=said.to)
+                sent.append((step.now_ns, key, decode(said.payload, topic.message, topic.limit)))
             sent += [(step.now_ns, topics.key(topics.LOG, **fleet), line) for line in outputs.log]
     part = Part(out)
     header = {**boxes[0].run, "kind": "fleet"}

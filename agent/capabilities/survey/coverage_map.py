@@ -179,6 +179,18 @@ def along(r: Rotation, s: tuple[float, float]) -> Vector:
     )
 
 
+def places_m(frame: Frame) -> list[tuple[int, Vector, float, float]]:
+    """Of each block that has a depth: index, place in the world, z-depth and sigma, m."""
+    r, at = rotation(frame.turn), place_m(frame.place)
+    slopes, ahead_m = block_slopes(frame.lens, len(frame.sigmas)), frame.lens.ahead * UNIT_M
+    found = []
+    for k, z_m, sigma_m in measured(frame):
+        x, y = (s * (z_m - ahead_m) / z_m for s in slopes[k])
+        way = along(r, (x, y))
+        found.append((k, (at[0] + z_m * way[0], at[1] + z_m * way[1], at[2] + z_m * way[2]), z_m, sigma_m))
+    return found
+
+
 # --- free space ---
 # Where nothing is: cells that a camera looked through to what it measured behind them.
 #

@@ -20,7 +20,7 @@ from agent.clock.clock import Clock
 from agent.core.codec import Refusal
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import State
-from agent.core.topics import ANSWER, CLAIM, IMAGE, LINK, LOG, NEAR, STATE
+from agent.core.topics import ANSWER, CLAIM, IMAGE, KEYFRAME, LINK, LOG, NEAR, STATE
 from agent.core.verbs import CLOCK, URGENT
 from agent.ground.console import OrderConsole
 from agent.ground.page.rows import LINES, SELDOM_NS, Board, Rows, text
@@ -79,7 +79,7 @@ class Recording:
 
 # --- a running fleet ---
 
-SHOWN = (STATE, LINK, NEAR, CLAIM, IMAGE, LOG, ANSWER)
+SHOWN = (STATE, LINK, NEAR, CLAIM, KEYFRAME, IMAGE, LOG, ANSWER)
 PERIOD_S = 0.1  # of the wall, between two looks at what has arrived: states come no more often
 CLOCK_S = 0.5  # of the wall, between two notes of what time it is in the fleet
 UNDER_WAY = 16  # orders that wait for answers at a time; and as many that are urgent
@@ -140,7 +140,7 @@ class Live:
 
     def _take(self, received: Received) -> None:
         topic, chunks, payload, arrived_ns = received
-        key = self._rows.key(topic, chunks)
+        key = self._rows.key(topic, chunks, payload)
         if key is None:
             return
         if seldom_ns := SELDOM_NS.get(topic.message):

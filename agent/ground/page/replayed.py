@@ -58,7 +58,7 @@ class Reel:
         for record in read(self.file):
             if record.channel not in topics:
                 topics[record.channel] = network_topic(record.channel)
-            if (row := topics[record.channel]) is None or (key := rows.key(*row)) is None:
+            if (row := topics[record.channel]) is None or (key := rows.key(*row, record.data)) is None:
                 continue
             is_line = row[0].message in LINES
             times, numbers = self._of.setdefault(key, ([], []))

@@ -17,8 +17,9 @@ from typing import Any
 import msgspec
 from msgspec import UNSET
 
-from agent.core.capability_messages import TURN_ONE, UNIT_M, Claim, holds
-from agent.core.codec import READABLE, Refusal
+from agent.capabilities.survey.coverage_map import place_m, places_m
+from agent.core.capability_messages import TURN_ONE, UNIT_M, Claim, Keyframe, frame_fault, holds
+from agent.core.codec import READABLE, Refusal, decode
 from agent.core.config import Fleet
 from agent.core.messages import Answer, Estimate, Image, LogLine, Message, Presence, State
 from agent.core.robot_view import in_own_name
@@ -29,7 +30,8 @@ Fields = dict[str, Any]
 
 PICTURE = struct.Struct("<BIQ")  # robot, counted as in the fleet file; number of the frame; middle of its exposure, ns
 LINES: tuple[type[Message], ...] = (LogLine, Answer)  # of these every one counts, not the newest alone
-SELDOM_NS: Mapping[type[Message], int] = {Estimate: 450_000_000}  # so often is enough: of it the page takes an ellipse
+# So often is enough: of an estimate the page takes an ellipse, and a keyframe never changes.
+SELDOM_NS: Mapping[type[Message], int] = {Estimate: 450_000_000, Keyframe: 1 << 62}
 UNSHOWN = ("schema", "fleet", "seq")
 
 
@@ -39,29 +41,33 @@ class Rows:
     def __init__(self, fleet: Fleet) -> None:
         self._robots = {name: index for index, name in enumerate(fleet.robot)}
         self._targets = frozenset(fleet.target)
+        self._tank_m = fleet.tank.size_m
         self._of: Mapping[type[Message], tuple[str, Callable[[Any], Fields | bytes]]] = {
             State: ("state", self._state),
             Estimate: ("link", self._estimate),
             Presence: ("near", _presence),
             Claim: ("claim", _claim),
+            Keyframe: ("surface", self._surface),
             Image: ("image", self._image),
             LogLine: ("log", _stamped),
             Answer: ("answer", _answer),
         }
 
-    def key(self, topic: Topic, chunks: Mapping[str, str]) -> str | None:
+    def key(self, topic: Topic, chunks: Mapping[str, str], payload: bytes) -> str | None:
         """What a row stands for on the page; None: it is not shown. What a robot tells its neighbours is one thing,
-        whomever it tells."""
+        whomever it tells; what a sweep showed is one thing, whoever passes it on."""
         robot, target = chunks[topic.writer], chunks.get("target")
         if topic.message not in self._of or robot not in self._robots:
             return None
         if target is not None and target not in self._targets:
             return None
+        if topic.message is Keyframe:
+            return self._surface_key(payload, topic.limit)
         return "/".join((self._of[topic.message][0], robot, *((target,) if target is not None else ())))
 
     def message(self, topic: Topic, chunks: Mapping[str, str], payload: bytes) -> Shown:
         """What the page is sent. Raises Refusal for a payload that is none of this row, or of somebody else."""
-        key = self.key(topic, chunks)
+        key = self.key(topic, chunks, payload)
         if key is None:
             raise Refusal("address", "not shown")
         fields = self._of[topic.message][1](in_own_name(topic, chunks, payload, READABLE))
@@ -84,6 +90,23 @@ class Rows:
             "cov_m2": said.cov_m2,
             "sent_ms": said.sent_ns * 1e-6,
         }
+
+    def _surface_key(self, payload: bytes, limit: int) -> str | None:
+        try:
+            frame = decode(payload, Keyframe, limit, READABLE).frame
+        except Refusal:
+            return None
+        return f"surface/{frame.origin}/{frame.incarnation}/{frame.number}" if frame.origin in self._robots else None
+
+    def _surface(self, said: Keyframe) -> Fields:
+        """What one sweep showed: where it was measured from, and the place of each block, row by row; mm."""
+        frame = said.frame
+        if (fault := frame_fault(frame, self._tank_m)) is not None:
+            raise Refusal("content", fault)
+        blocks: list[tuple[int, ...] | None] = [None] * len(frame.sigmas)
+        for k, place, _, _ in places_m(frame):
+            blocks[k] = tuple(round(1e3 * x) for x in place)
+        return {"from_mm": [1e3 * x for x in place_m(frame.place)], "cols": frame.lens.cols, "blocks": blocks}
 
     def _image(self, image: Image) -> bytes:
         return PICTURE.pack(self._robots[image.robot], image.frame & 0xFFFFFFFF, max(image.t_ns, 0)) + image.jpeg
@@ -145,6 +168,7 @@ LINES_KEY = "lines"  # the key of what is a queue: log, orders, answers
 CAME = "came"  # the key of what came of a recording, whatever time of it is shown
 KEPT = 400  # lines that whoever opens the page later still sees
 MOST_KEYS = 1024
+MOST_SURFACES = 768  # keyframes are shown while there are fewer keys: the rest is for what robots say of themselves
 
 Make = Callable[[], Shown]
 
@@ -199,7 +223,8 @@ class Board:
 
     def show(self, key: str, make: Make) -> None:
         """In place of what was shown of this key."""
-        if key not in self._newest and len(self._newest) >= MOST_KEYS:
+        most = MOST_SURFACES if key.startswith("surface/") else MOST_KEYS
+        if key not in self._newest and len(self._newest) >= most:
             return
         self._newest[key] = Item(make)
         for viewer in self._viewers:

@@ -9,10 +9,10 @@ from typing import Any
 
 import pytest
 
-from agent.core.capability_messages import TURN_ONE, Claim, Has, Lens, View
+from agent.core.capability_messages import TURN_ONE, Claim, Frame, Has, Keyframe, Lens, View
 from agent.core.codec import Refusal, encode
 from agent.core.messages import Answer
-from agent.core.topics import ANSWER, CLAIM, IMAGE, LIGHT, LINK, LOG, NEAR, STATE
+from agent.core.topics import ANSWER, CLAIM, IMAGE, KEYFRAME, LIGHT, LINK, LOG, NEAR, STATE
 from agent.core.verdict import ORDER
 from agent.ground.page.rows import KEPT, MOST_KEYS, Board, Rows, Viewer, text
 from tests.ground.page.shown import FLEET, NOW_NS, image, log, received, row, state
@@ -95,7 +95,7 @@ def test_what_is_told_to_several_neighbours_is_one_thing() -> None:
     cov = (1e-6, 0.0, 0.0, 2e-6, 0.0, 3e-6)
     said = estimate("r1", "r2", fleet="test", x_m=(0.7, 0.5, 0.1), cov_m2=cov)
     topic, chunks, payload = row(said, LINK, src="r1", dst="r2", target="ball")
-    assert ROWS.key(topic, chunks) == ROWS.key(topic, {**chunks, "dst": "r9"}) == "link/r1/ball"
+    assert ROWS.key(topic, chunks, payload) == ROWS.key(topic, {**chunks, "dst": "r9"}, payload) == "link/r1/ball"
     assert json.loads(ROWS.message(topic, chunks, payload))["cov_m2"] == list(cov)
     near = json.loads(ROWS.message(*row(presence("r1", "r2", t_ns=NOW_NS), NEAR, src="r1", dst="r2")))
     assert near["k"] == "near/r1" and near["robot"] == "r1" and near["t_ms"] == pytest.approx(NOW_NS * 1e-6)
@@ -118,6 +118,28 @@ def test_where_a_survey_looks_next_is_a_place_and_a_direction() -> None:
     assert (shown["keyframes"], shown["keyframes_held"], shown["share"]) == (3, 7, 0.5)
 
 
+def keyframe(src: str, **changes: Any) -> Keyframe:
+    """r1 has looked straight down from 0.4 m, at four blocks; the last one has no depth."""
+    lens = Lens(f=5000, cx=320, cy=320, bend=0, ahead=0, block=32, cols=2)
+    depths = b"".join(z.to_bytes(2, "little") for z in (2500, 2500, 5000, 0))
+    about = {"origin": "r1", "incarnation": 7, "number": 3, "place": (5000, 6000, 4000), "turn": (0, TURN_ONE, 0, 0)}
+    frame = Frame(**{**about, "lens": lens, "depths": depths, "sigmas": bytes(4), **changes})
+    return Keyframe(fleet="test", src=src, dst="r2", incarnation=7, seq=1, sent_ns=NOW_NS, frame=frame)
+
+
+def test_what_a_sweep_showed_is_one_thing_whoever_passes_it_on() -> None:
+    told = [row(keyframe(src), KEYFRAME, src=src, dst="r2") for src in ("r1", "r2")]
+    assert {ROWS.key(*each) for each in told} == {"surface/r1/7/3"}
+    shown = json.loads(ROWS.message(*told[1]))
+    assert shown["cols"] == 2 and shown["from_mm"] == pytest.approx([500.0, 600.0, 400.0])
+    # The first block's middle is 16 px left of and above the axis, at f = 500 px; looking down turns y over.
+    assert shown["blocks"] == [[492, 608, 150], [508, 608, 150], [484, 584, -100], None]
+    assert ROWS.key(*row(keyframe("r1", origin="r9"), KEYFRAME, src="r1", dst="r2")) is None
+    assert ROWS.key(KEYFRAME, {"src": "r1", "dst": "r2"}, b"no keyframe") is None
+    with pytest.raises(Refusal):
+        ROWS.message(*row(keyframe("r1", place=(99000, 0, 0)), KEYFRAME, src="r1", dst="r2"))
+
+
 def test_an_answer_names_its_order_to_the_last_digit() -> None:
     answer = Answer(robot="r1", console="ann", id=NOW_NS, order="stop", ok=True, arrived_ns=NOW_NS, sent_ns=NOW_NS + 1)
     shown = json.loads(ROWS.message(*row(answer, ANSWER, robot="r1", console="ann")))
@@ -125,9 +147,9 @@ def test_an_answer_names_its_order_to_the_last_digit() -> None:
 
 
 def test_strangers_and_what_is_not_shown_have_no_key() -> None:
-    assert ROWS.key(STATE, {"robot": "r9", "target": "ball"}) is None
-    assert ROWS.key(STATE, {"robot": "r1", "target": "gold"}) is None
-    assert ROWS.key(LIGHT, {"src": "r1", "dst": "r2"}) is None
+    assert ROWS.key(STATE, {"robot": "r9", "target": "ball"}, b"") is None
+    assert ROWS.key(STATE, {"robot": "r1", "target": "gold"}, b"") is None
+    assert ROWS.key(LIGHT, {"src": "r1", "dst": "r2"}, b"") is None
 
 
 @pytest.mark.parametrize(

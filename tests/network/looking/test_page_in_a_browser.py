@@ -1,5 +1,6 @@
 """The operator's page in a real browser, as a person uses it: a fleet of two, watched, ordered about, lost."""
 
+import shutil
 import time
 
 import pytest
@@ -12,6 +13,8 @@ from tests.known_lens import CAMERA, PLAIN
 from tests.network.conftest import unused_port
 from tests.network.looking.page_process import FREEZE, TAKES, Tab, browser, fleet_on_disk, page_process
 from tests.network.looking.scripted_robots import JPEG, scripted
+from tests.places import GOLDEN
+from tests.replay.overheard_run import overheard_run
 from tests.waiting import until
 
 pytest.importorskip("websockets", reason="the extra `page` is not installed")
@@ -221,14 +224,34 @@ def test_names_in_the_tank_do_not_cover_each_other_on_a_phone(chromium, served) 
     tab.says("#sentence", "2 of 2 robots heard")
     tab.page.evaluate("for (const r of robots.values()) r.name = 'a robot of a long name, ' + r.name; dirty = true")
     for canvas in ("above", "side"):
-        names = until(lambda drawn=canvas: tab.page.evaluate(f"$('{drawn}').getContext('2d').taken"))
-        names = [name for name in names if name[1] - name[0] > 100]
-        assert len(names) == 2
+        drawn = f"$('{canvas}').getContext('2d').taken.filter(([left, right]) => right - left > 100)"
+        until(lambda drawn=drawn: tab.page.evaluate(f"{drawn}.length") == 2)  # with the names of now
+        names = tab.page.evaluate(drawn)
         (left, right, y), (other_left, other_right, other_y) = names
         assert right <= other_left or other_right <= left or abs(y - other_y) >= 13
         assert max(y, other_y) < tab.page.evaluate(f"$('{canvas}').clientHeight - FOOT"), "above the scale"
     tab.page.close()
     tab.page.close()
+
+
+def test_what_a_survey_has_measured_is_drawn_in_the_colour_of_who_did(chromium, tmp_path) -> None:
+    for box in (GOLDEN / "survey").glob("*.mcap"):
+        shutil.copy(box, tmp_path)
+    overheard_run(tmp_path, tmp_path / "fleet.mcap")
+    inked = """[...layers.values()].map(layer => {
+      const {width, height} = layer.canvas, data = layer.canvas.getContext("2d").getImageData(0, 0, width, height).data;
+      return data.filter((alpha, i) => i % 4 === 3 && alpha).length; })"""
+    with page_process(tmp_path) as page:
+        tab = Tab(chromium, page.address, viewport={"width": 1440, "height": 900})
+        tab.says("#legend", "what was measured, by whom")
+        tab.page.evaluate("tell({play: {at_ms: 1e15}})")  # its end
+        until(lambda: tab.page.evaluate("surface.map(m => m.robot).sort().join()") == "r1,r1,r2,r2")
+        until(lambda: min(tab.page.evaluate(inked), default=0) > 500)
+        tab.page.evaluate("tell({play: {at_ms: 0}})")
+        until(lambda: tab.page.evaluate("surface.length") == 0)
+        until(lambda: tab.page.evaluate("layers.size") == 0)
+        assert not tab.complaints
+        tab.page.close()
 
 
 def test_recording_is_switched_on_and_off(tab, path) -> None:
