@@ -84,6 +84,7 @@ CLAIMS: dict[str, Entry] = {
     "page": Entry(B + "network.bench_page", "a page in a browser of five robots", NETWORK),
     "mavproxy": Entry(B + "network.bench_mavproxy", "a ground station that others wrote", NETWORK, SCRIPTS),
     "frames": Entry(B + "bench_frames", "what perception takes of a frame", COST),
+    "compiled": Entry(B + "bench_compiled", "what linked functions take of an agent", COST),
     "messages": Entry(B + "bench_messages", "what agreement and signatures take", COST),
     "recording": Entry(B + "bench_recording", "what recording a dive takes, and checking it again", COST, RECORDED),
     "twin": Entry(B + "bench_twin", "what the twin's water, cameras and boards take", COST, ("agent/fleets",)),
