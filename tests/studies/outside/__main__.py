@@ -49,8 +49,9 @@ def main() -> int:
 def table(found: Sequence[Finding | Crossing]) -> list[str]:
     """As Markdown."""
     columns = found[0].COLUMNS
-    lines = (columns, ("---",) * len(columns), *(one.row for one in found))
-    return [f"Judged on {datetime.now(UTC):%Y-%m-%d}.", "", *(f"| {' | '.join(line)} |" for line in lines)]
+    head = f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"
+    rows = (f"| {' | '.join(one.row)} |" for one in found)
+    return [f"Judged on {datetime.now(UTC):%Y-%m-%d}.", "", *head, *rows]
 
 
 def with_table(page: str, head: str, rows: Sequence[str]) -> str:
