@@ -85,9 +85,9 @@ class Crossing:
     """What became of a swarm on a network."""
 
     COLUMNS: ClassVar = (
-        f"network ({JUDGE})", "`send_hz`", "`validity_s`", "lease, s", "all agree after, s", "agree from then, share of time",
-        "error, mm", "sigma, mm", "3 (error / sigma)²", "kbit/s a robot", "of it got through",
-        "messages heard of those due", "links made anew",
+        f"network ({JUDGE})", "`send_hz`", "`validity_s`", "lease, s", "all agree after, s",
+        "agree from then, share of time", "error, mm", "sigma, mm", "3 (error / sigma)²", "kbit/s a robot",
+        "of it got through", "messages heard of those due", "links made anew",
     )  # fmt: skip
     case: Case
     agreed_s: float | None  # from the first word of all robots to the first moment in which they agree
