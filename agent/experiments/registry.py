@@ -28,11 +28,13 @@ class Entry(NamedTuple):
     about: str
     group: str  # its heading in docs/research/claims.md
     also: tuple[str, ...] = ()  # files and folders that it runs without importing them
+    judged: str = ""  # where docs/outside.md has what programs of others measured of the same
 
 
 E, B, S = "agent.experiments.", "tests.bench.", "tests.studies."
 DEMO, SWIM, FISH, LIGHT = "Finding a target together", "Robots that swim", "Following what swims", "Light"
 WRONG, FOCUS, PICTURES, SCENE = "When something is wrong", "Distance from focus", "Pictures", "Surveys and scenes"
+OPTICS, HULL, LINKS = "optics", "body-and-the-control-law-on-it", "networks"  # headings of docs/outside.md
 BODY, NETWORK, COST = "Body and board", "Networks and people", "What it costs"
 SCRIPTS = ("tests/network/scripted_agent.py", "tests/network/watch_states.py")  # processes of claims of networks
 
@@ -56,9 +58,9 @@ CLAIMS: dict[str, Entry] = {
     "following": Entry(E + "following", "a target that swims: robots that share, or are silent", FISH),
     "bearings": Entry(B + "swim.bench_bearings", "a fish by bearings alone", FISH),
     "lighting": Entry(E + "lighting", "lamps lent in the dark: own ones, the rule, the optimum", LIGHT),
-    "veil": Entry(S + "veil.claim", "a lamp's veil in twin and kernel, against Monte Carlo", LIGHT),
+    "veil": Entry(S + "veil.claim", "a lamp's veil in twin and kernel, against Monte Carlo", LIGHT, judged=OPTICS),
     "night": Entry(B + "light.bench_night", "robots find a ball by each other's light", LIGHT, ("agent/fleets",)),
-    "depth": Entry(E + "depth", "depth of whole views from focus: our peak, the paper's", FOCUS),
+    "depth": Entry(E + "depth", "depth of whole views from focus: our peak, the paper's", FOCUS, judged=OPTICS),
     "consistency": Entry(B + "bench_consistency", "whether measurements are as wrong as they say", FOCUS),
     "peak-shift": Entry(B + "pictures.bench_peak_shift", "how far enhancement moves the focus peak", FOCUS),
     "depth-map": Entry(B + "pictures.bench_depth_map", "depth maps of stacks of photographs, by their truth", FOCUS),
@@ -71,9 +73,9 @@ CLAIMS: dict[str, Entry] = {
     "coverage": Entry(E + "reconstruction.coverage", "keyframes that robots need which share what they saw", SCENE),
     "survey": Entry(E + "reconstruction.survey", "what three robots that swim know of a floor", SCENE),
     "scenes": Entry(E + "reconstruction.scenes", "surfaces and pictures of scenes from focus sweeps", SCENE),
-    "orientation": Entry(E + "orientation", "push and depth step under three control laws", BODY),
+    "orientation": Entry(E + "orientation", "push and depth step under three control laws", BODY, judged=HULL),
     "board": Entry(S + "board.claim", "what a control cycle takes on the board", BODY, ("hw/firmware", *COUNTED)),
-    "swarm": Entry(B + "bench_swarm", "twenty agents on one machine; a partition heals", NETWORK, SCRIPTS),
+    "swarm": Entry(B + "bench_swarm", "twenty agents on one machine; a partition heals", NETWORK, SCRIPTS, LINKS),
     "orders": Entry(B + "network.bench_orders", "a person stops three robots, of which one hangs", NETWORK, SCRIPTS),
     "mute": Entry(
         B + "network.bench_mute",

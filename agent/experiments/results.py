@@ -203,6 +203,8 @@ interval keeps it, **missed** when none of it does, else **not shown**. What a f
 * **outside judge**: a program that others wrote;
 * **this machine**: times, as ratios of two ways in one run.
 
+*Judged too*: programs of others measured the same thing, [at their own settings](../outside.md).
+
 *Older than the code*: modules that the claim measures have changed since.
 """
 
@@ -323,11 +325,12 @@ def claims_page(kept: KeptClaims) -> str:
 def claim_rows(name: str, claim: Claim, figures: Sequence[KeptFigure]) -> Iterator[str]:
     link = f"[{name}]({name}.md)"
     judged = [one for one in figures if one.told.figure.target] or figures[:FEW]
+    on = claim.measured_on + (f"; [judged too](../outside.md#{heading})" if (heading := CLAIMS[name].judged) else "")
     if not figures:
-        yield f"| {link}: {CLAIMS[name].about} | | not measured | | | | | {claim.measured_on} | |"
+        yield f"| {link}: {CLAIMS[name].about} | | not measured | | | | | {on} | |"
     code = code_of(name) if figures else ""
     for one in judged:
-        yield f"| {link}: {row(one.told)} | {claim.measured_on} | {age(one, code)} |"
+        yield f"| {link}: {row(one.told)} | {on} | {age(one, code)} |"
 
 
 def row(told: Told) -> str:

@@ -7,9 +7,11 @@ netem or a firewall. Packets never leave the namespaces.
 
 import fcntl
 import heapq
+import math
 import os
 import random
 import selectors
+import socket
 import struct
 import subprocess
 import threading
@@ -27,11 +29,20 @@ class Links(NamedTuple):
     """What happens to each packet between two hosts that are both in `among`; to all others nothing."""
 
     loss: float = 0.0
+    burst: float = 0.0  # packets lost in a row, in the mean (Gilbert and Elliott); 0: each is lost by itself
+    rate_bit_s: float = math.inf  # at which each host sends, to all others together
+    queue_bytes: int = 1 << 20  # that wait for it at a host; what comes on top is thrown away
     delay_s: float = 0.0
     jitter_s: float = 0.0  # uniform on top of the delay, each packet by itself: later ones overtake
     duplicate: float = 0.0
     sides: tuple[frozenset[str], ...] = ()  # nothing passes from one to another
     apart: frozenset[str] = frozenset()  # nothing passes between these, and all reach the others
+
+    def lost(self, chance: float, bad: bool) -> bool:
+        """Whether the next packet of one way is lost, by a number from 0 to 1; `bad`: the one before was."""
+        if not self.burst:
+            return chance < self.loss
+        return chance >= 1 / self.burst if bad else chance < self.loss / (1 - self.loss) / self.burst
 
     def cut(self, src: str, dst: str) -> bool:
         return {src, dst} <= self.apart or any((src in side) != (dst in side) for side in self.sides)
@@ -44,10 +55,14 @@ class Relay:
         self.address = {name: f"{SUBNET}.{k}" for k, name in enumerate(hosts, start=1)}
         self.namespace = {name: f"aucamp-{os.getpid()}-{name}" for name in hosts}
         self.links = Links()
-        self.count = dict.fromkeys(("passed", "lost", "cut", "doubled", "overtaken"), 0)
+        self.count = dict.fromkeys(("passed", "lost", "full", "cut", "doubled", "overtaken"), 0)
+        self.bytes = dict.fromkeys(("sent", "arrived"), 0)  # of IP packets between those in `among`
+        self.accepted: set[tuple[str, str, int]] = set()  # TCP connections between them: by whom, whose, its port
         self.sent: Counter[tuple[str, str]] = Counter()  # packets by who sent them and to whom, or to which address
         self._host = {address: name for name, address in self.address.items()}
         self._among, self._random = among, random.Random(seed)
+        self._bad: dict[tuple[str, str], bool] = {}  # the last packet from one to another was lost
+        self._free_s = dict.fromkeys(hosts, 0.0)  # when all that waits at a host is sent
         self._tun: dict[str, int] = {}
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="relay")
@@ -97,7 +112,7 @@ class Relay:
                 wait_s = min(0.05, max(0.0, due[0][0] - time.monotonic())) if due else 0.05
                 for key, _ in ready.select(wait_s):
                     for packet in packets(key.fd):
-                        for at_s, dst in self._fate(key.data, packet):
+                        for at_s, dst in self.fate(key.data, packet, time.monotonic()):
                             number += 1
                             heapq.heappush(due, (at_s, number, dst, packet))
                 while due and due[0][0] <= time.monotonic():
@@ -110,9 +125,9 @@ class Relay:
                     except BlockingIOError:
                         self.count["lost"] += 1  # its queue is full: so do real links
 
-    def _fate(self, src: str, packet: bytes) -> list[tuple[float, str]]:
+    def fate(self, src: str, packet: bytes, now_s: float) -> list[tuple[float, str]]:
         """When and where this packet arrives: nowhere, once or twice."""
-        now_s, links = time.monotonic(), self.links
+        links = self.links
         if packet[0] >> 4 != 4:
             return []  # IPv6 chatter of the kernel
         address = ".".join(map(str, packet[16:20]))
@@ -125,12 +140,30 @@ class Relay:
         if links.cut(src, dst):
             self.count["cut"] += 1
             return []
-        if self._random.random() < links.loss:
+        self.bytes["sent"] += len(packet)
+        if (port := accepts(packet)) is not None:
+            self.accepted.add((src, dst, port))
+        sent_s = max(now_s, self._free_s[src]) + 8 * len(packet) / links.rate_bit_s
+        if sent_s - now_s > 8 * links.queue_bytes / links.rate_bit_s:
+            self.count["full"] += 1
+            return []
+        self._free_s[src] = sent_s
+        bad = self._bad[src, dst] = links.lost(self._random.random(), self._bad.get((src, dst), False))
+        if bad:
             self.count["lost"] += 1
             return []
+        self.bytes["arrived"] += len(packet)
         copies = 1 + (self._random.random() < links.duplicate)
         self.count["doubled"] += copies - 1
-        return [(now_s + links.delay_s + links.jitter_s * self._random.random(), dst) for _ in range(copies)]
+        return [(sent_s + links.delay_s + links.jitter_s * self._random.random(), dst) for _ in range(copies)]
+
+
+def accepts(packet: bytes) -> int | None:
+    """The port of whose TCP connection an IPv4 packet accepts; None: it does not."""
+    tcp = packet[(packet[0] & 15) * 4 :]
+    if packet[9] != socket.IPPROTO_TCP or tcp[13] & 0x12 != 0x12:  # SYN and ACK
+        return None
+    return int.from_bytes(tcp[2:4], "big")
 
 
 def packets(tun: int) -> list[bytes]:

@@ -6,11 +6,12 @@ import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
 from pathlib import Path
 
 import msgspec
 
-from agent.core.config import Access, dump
+from agent.core.config import Access, Fleet, dump
 from agent.core.messages import State
 from agent.demo.demo import demo_fleet
 from agent.ground.new_fleet import make_all
@@ -37,15 +38,18 @@ class Swarm:
         secured: bool = False,
         of_the_system: Path | None = None,
         prefix: str = "",
+        adjust: Callable[[Fleet], Fleet] = lambda fleet: fleet,
+        agent: str = "tests.network.scripted_agent",
     ) -> None:
         """Robots r1, r2 ... in the relay's namespaces of these names, with the prefix; their clocks are wrong by so
         much.
 
         `secured`: with certificates, in the folder `keys`. `of_the_system`: the library of wrong_clock.c, with which
-        all of a process has the wrong time, its TLS too; without it the agent's own clock alone is wrong.
+        all of a process has the wrong time, its TLS too; without it the agent's own clock alone is wrong. `adjust`: the
+        fleet as a test wants it. `agent`: a module that takes a scripted agent's arguments.
         """
         self.relay, self.clock_ahead_s, self.folder, self.of_the_system = relay, clock_ahead_s, folder, of_the_system
-        self.prefix = prefix
+        self.prefix, self.agent = prefix, agent
         self.path = folder / "fleet.toml"
         fleet = demo_fleet(len(clock_ahead_s), "evidence", 0.0, 0, False, folder)
         replace = msgspec.structs.replace
@@ -55,7 +59,7 @@ class Swarm:
         }
         access = Access(keys="keys", consoles=("ann",)) if secured else fleet.access
         estimation = replace(fleet.estimation, iteration_s=0.25)
-        self.fleet = replace(fleet, fleet=name, robot=robots, access=access, estimation=estimation)
+        self.fleet = adjust(replace(fleet, fleet=name, robot=robots, access=access, estimation=estimation))
         self.path.write_text(dump(self.fleet))
         self.keys = folder / "keys"
         if secured:
@@ -70,7 +74,7 @@ class Swarm:
             out = self.folder / f"start{len(self.boxes)}"
             out.mkdir()
             self.boxes.append((name, out / f"{name}.mcap"))
-            agent = (sys.executable, "-m", "tests.network.scripted_agent")
+            agent = (sys.executable, "-m", self.agent)
             ahead, library = str(self.clock_ahead_s[name]), self.of_the_system
             wrong = {} if library is None else {"LD_PRELOAD": str(library), "CLOCK_AHEAD_S": ahead}
             arguments = (str(self.path), name, str(out), *(() if library else (ahead,)))

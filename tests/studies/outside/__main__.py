@@ -10,11 +10,20 @@ from importlib import import_module
 
 from tests.places import ROOT
 from tests.studies.outside.finding import Finding
+from tests.studies.outside.network import Crossing
 
-JUDGES = {"body": "mujoco auv-sim-bench", "optics": "mitsuba"}  # and what to install for each
+JUDGES = {  # and what each needs
+    "body": "pip install mujoco auv-sim-bench",
+    "optics": "pip install mitsuba",
+    "network": "run it as root of a Linux machine with iproute2",
+}
 ROOM = "tests.studies.outside"
 PAGE = ROOT / "docs" / "outside.md"
-HEAD = {"body": "## Body, and the control law on it", "optics": "## Optics"}  # of the page, each before its table
+HEAD = {
+    "body": "## Body, and the control law on it",
+    "optics": "## Optics",
+    "network": "## Networks",
+}  # of the page, each before its table
 
 
 def main() -> int:
@@ -28,7 +37,7 @@ def main() -> int:
         try:
             found = import_module(f"{ROOM}.{name}").judge(given.quick)
         except ImportError as error:
-            sys.stdout.write(f"{name}: not judged ({error}): pip install {JUDGES[name]}\n")
+            sys.stdout.write(f"{name}: not judged ({error}): {JUDGES[name]}\n")
             continue
         rows = table(found)
         sys.stdout.write("\n".join(rows) + "\n")
@@ -37,14 +46,12 @@ def main() -> int:
     return 0
 
 
-def table(found: Sequence[Finding]) -> list[str]:
-    """As Markdown; what the judge says otherwise is bold."""
-    rows = [f"Judged on {datetime.now(UTC):%Y-%m-%d}.", "", "| quantity | twin | judge | by |", "|---|---|---|---|"]
-    for one in found:
-        theirs = f"{one.outside:.4g}" if one.passes else f"**{one.outside:.4g}**"
-        what = f"{one.quantity}, {one.unit}" if one.unit else one.quantity
-        rows.append(f"| {what} | {one.twin:.4g} | {theirs} | {one.judge} |")
-    return rows
+def table(found: Sequence[Finding | Crossing]) -> list[str]:
+    """As Markdown."""
+    columns = found[0].COLUMNS
+    head = f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"
+    rows = (f"| {' | '.join(one.row)} |" for one in found)
+    return [f"Judged on {datetime.now(UTC):%Y-%m-%d}.", "", *head, *rows]
 
 
 def with_table(page: str, head: str, rows: Sequence[str]) -> str:
