@@ -451,6 +451,7 @@ SMOOTH_PX = 5  # Gaussian before the gradients
 MIN_CORRELATION = 0.7  # of registered frames; noise on blurred frames leaves 0.8
 AGREE = (0.2, 1e-4)  # share of the growth, and growth a step, within which links, across and down, are alike
 GROWTH_POWER = 0.7  # of the picture's size, by which clarity a pixel falls when nothing but the size changes
+LEAST_GROWTH = 0.0025  # of the whole sweep: blur that changes looks like up to 0.22 % where a picture does not grow
 MAX_STEP = 0.01  # growth from one frame to the next that is believed: seven times that of a small module
 
 
@@ -474,7 +475,10 @@ def measure_growth(images: Sequence[NDArray[np.uint8]]) -> float | None:
         return None
     middle = float(np.median(known))
     agreeing = [growth for growth in known if alike(growth, middle)]
-    return float(np.mean(agreeing)) * (count - 1) if 2 * len(agreeing) >= len(links) else None
+    if 2 * len(agreeing) < len(links):
+        return None
+    growth = float(np.mean(agreeing)) * (count - 1)
+    return growth if abs(growth) > LEAST_GROWTH else 0.0
 
 
 def _scaled(grey: Grey, scale: float) -> Grey:

@@ -75,6 +75,12 @@ def test_another_program_s_pictures_are_ranged_right_all_over_the_frame(name: st
     assert np.quantile(off, 0.9) < 0.01 * times
 
 
+@pytest.mark.skipif(not STACKS.is_dir(), reason="the rendered stacks are not here: set AUCAMP_DATA")
+@pytest.mark.parametrize("name", ["tap_a", "veil_a"])
+def test_a_picture_that_does_not_grow_does_not_grow(name: str) -> None:
+    assert sweep(open_stack(STACKS / name), BLOCK, quiet).growth == 0.0
+
+
 def test_a_port_shows_what_lies_aside_nearer_and_a_dome_does_not() -> None:
     flat = CameraFit(width_px=640, height_px=480, f_px=1111.0, cx_px=319.5, cy_px=239.5, bend=0.39)
     assert port_share(flat, (319.5, 239.5)) == 1.0
