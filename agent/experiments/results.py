@@ -364,7 +364,8 @@ def claim_page(name: str, claim: Claim, figures: Sequence[KeptFigure]) -> str:
 def origin(one: KeptFigure) -> str:
     run, (first, last) = one.run, one.seeds
     seeds = f"seed {first}" if first == last else f"seeds {first} to {last}"
-    return f"* {run.date}, commit {run.commit}, {run.processor}, {seeds}, {run.seconds_a_seed:g} s a seed: `{run.command}`."
+    measured = f"{run.date}, commit {run.commit}, {run.processor}, {seeds}, {run.seconds_a_seed:g} s a seed"
+    return f"* {measured}: `{run.command}`."
 
 
 # --- the drawing: each figure a line of its own, with its interval and its target ---
