@@ -10,7 +10,7 @@ import yaml
 from typer.main import get_command
 
 from agent.__main__ import app
-from docs import site_hook
+from docs import draw_links, site_hook
 from tests.places import ROOT
 
 PAGES = sorted(
@@ -188,6 +188,12 @@ HOW_TO = [
     "survey",
     "night",
     "scenes",
+    "operate",
+    "orders",
+    "bridges",
+    "access",
+    "doctor",
+    "lighting",
 ]
 PICTURES = sorted(path for kind in ("webp", "svg", "png", "jpg") for path in (ROOT / "docs").glob(f"*.{kind}"))
 
@@ -196,6 +202,11 @@ PICTURES = sorted(path for kind in ("webp", "svg", "png", "jpg") for path in (RO
 def test_a_how_to_page_has_a_picture(page: str) -> None:
     shown = re.findall(r"!\[([^\]]+)\]\(([^)]+)\)", (ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8"))
     assert [name for about, name in shown if about and ROOT / "docs" / name in PICTURES]
+
+
+@pytest.mark.parametrize("name", draw_links.PICTURES)
+def test_a_drawing_is_what_its_program_draws(name: str) -> None:
+    assert (ROOT / "docs" / f"{name}.svg").read_text(encoding="utf-8") == draw_links.PICTURES[name]()
 
 
 def test_pictures_are_small_and_none_lies_about() -> None:

@@ -210,5 +210,5 @@ CLAIM = Claim(
         that loses nothing: own measurements and sigma of `fixed` and of `tank` stand below. What is lost is the second
         cue, which tells of a wrong radius, and all range of a thing of unknown size: 0.6 m give or take 0.35 m is left
         of it, a bearing. In `late` and `stale` each seed takes the next pair of stamps late by 0, 60 or 120 ms and
-        lenses that take 50, 150 or 300 ms to come to rest; nine seeds have all.""",
+        lenses that take 50, 150 or 300 ms to come to rest. Nine seeds have all.""",
 )

@@ -467,9 +467,9 @@ CLAIM = Claim(
     measured_on="model",
     figures=figures(),
     explanation="""The kernel's own targets agree over links that delay, on samples that are drawn, with the errors of
-        the fleet's budget in them; whole agents swim by drawn tags. Nothing is rendered. A robot is wrong in silence
-        where, from ten seconds after what is wrong began, the NEES of its beliefs is above 9 in the mean over all at
-        which its word is `consistent`; a dive counts as not silent where those are fewer than one in twenty. Rows
-        without a target cannot be noticed: what all robots have wrong alike, or a whole map, is in no sample of theirs.
-        What is not in the table was not tried.""",
+        the fleet's budget in them; whole agents swim by drawn tags. Nothing is rendered. Counted are the beliefs of a
+        robot from ten seconds after the fault began, while its word is `consistent`. The robot is wrong in silence
+        where their NEES is above 9 in the mean. A dive counts as not silent where such beliefs are at most one in
+        twenty of all. Rows without a target cannot be noticed: what all robots have wrong alike, or a whole map, is in
+        no sample of theirs. What is not in the table was not tried.""",
 )

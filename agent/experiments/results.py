@@ -195,12 +195,12 @@ HEAD = """# Claims
 A figure comes with its 90 % interval and with n: seeds, or trials of a share. A target is **met** when the whole
 interval keeps it, **missed** when none of it does, else **not shown**. What a figure was measured on:
 
-* **twin**: our own simulation; it is optimistic where [it leaves something out](../twin.md);
-* **model**: the estimators alone, on numbers drawn as their equations say;
-* **real pictures**: photographs that nobody here took;
-* **chip model**: instructions counted on an emulated STM32F407, never timed on one;
-* **processes**: real agents on a real network stack of one computer, with cameras and motors that are a script;
-* **outside judge**: a program that others wrote;
+* **twin**: our own simulation. It is optimistic where [it leaves something out](../twin.md).
+* **model**: the estimators alone, on numbers drawn as their equations say.
+* **real pictures**: photographs that nobody here took.
+* **chip model**: instructions counted on an emulated STM32F407, never timed on one.
+* **processes**: real agents on a real network stack of one computer, with cameras and motors that are a script.
+* **outside judge**: a program that others wrote.
 * **this machine**: times, as ratios of two ways in one run.
 
 *Judged too*: programs of others measured the same thing, [at their own settings](../outside.md).
@@ -367,9 +367,8 @@ def claim_page(name: str, claim: Claim, figures: Sequence[KeptFigure]) -> str:
 def origin(one: KeptFigure) -> str:
     run, (first, last) = one.run, one.seeds
     seeds = f"seed {first}" if first == last else f"seeds {first} to {last}"
-    return (
-        f"* {run.date}, commit {run.commit}, {run.processor}, {seeds}, {run.seconds_a_seed:g} s a seed: `{run.command}`"
-    )
+    measured = f"{run.date}, commit {run.commit}, {run.processor}, {seeds}, {run.seconds_a_seed:g} s a seed"
+    return f"* {measured}: `{run.command}`."
 
 
 # --- the drawing: each figure a line of its own, with its interval and its target ---

@@ -61,7 +61,7 @@ CLAIM = Claim(
     ),
     seeds=40,  # their errors of calibration stay with all places of a robot
     explanation="""A robot with a lens, servos and a calibration of its own looks at a ball from 25 places, 0.25 to
-        1.2 m away, in one of three kinds of water: frames, detection, a full sweep, its peak, place and covariance, all
-        as in a dive. NEES is the error squared in units of the stated covariance, 3 where that is honest. A ball that
-        is larger than the frame gives no measurement.""",
+        1.2 m away, in one of three kinds of water. Frames, detection, a full sweep, its peak, place and covariance are
+        all as in a dive. NEES is the error squared in units of the stated covariance, 3 where that is honest. A ball
+        that is larger than the frame gives no measurement.""",
 )

@@ -120,7 +120,7 @@ CLAIM = Claim(
     ),
     exact=True,
     explanation="""Marked pictures of pools and of open water, real balls and balls drawn into real backgrounds, and
-        pictures without any: each changed as another camera would have taken it, and searched for balls of four
+        pictures without any. Each is changed as another camera would have taken it, and searched for balls of four
         colours. What is false beside balls is nearly always a ball of another colour. The limits of the detector were
         chosen on these pictures as they were taken; the changes say what another camera does to it.""",
 )

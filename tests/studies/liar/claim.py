@@ -137,8 +137,8 @@ CLAIM = Claim(
     ),
     seeds=60,  # as many as the 95 % take
     explanation="""In virtual time a robot knows all that the others measured and looks in each of twenty iterations for
-        the lie that moves them most, within what every check lets through; it forges the words of all others too. The
-        same fleet dives beside it with the same chance and no lie: moved is how far the two place the target apart,
+        the lie that moves them most, within what every check lets through. It forges the words of all others too. The
+        same fleet dives beside it with the same chance and no lie. Moved is how far the two place the target apart,
         of the robot that is worst off, at any time of the lie. The bound of single lies is one of theory, which no
         robot knows. A weight is that in what the others conclude, 1 for a robot that was never knocked.""",
 )
