@@ -362,7 +362,8 @@ def filled(light: Pictures) -> Pictures:
     sigma = 2.0
     while left.any():
         mean, share = (np.asarray(cv2.GaussianBlur(one, (0, 0), sigma), np.float32) for one in (sums, weight))
-        now = left & (share > 1e-3)
+        # Of a picture that is nearly empty no share is large: what is as wide as the picture sees all there is.
+        now = left & (share > (1e-3 if sigma < max(known.shape) else 0.0))
         out[now] = mean[now] / share[now, None]
         left, sigma = np.asarray(left & ~now), 2.0 * sigma
     return out

@@ -45,6 +45,9 @@ def test_holes_are_filled_from_around_them() -> None:
     light[5:15, 10:20] = np.nan
     assert filled(light) == pytest.approx(np.full((20, 30, 3), 0.5), abs=1e-5)
     assert (filled(np.full_like(light, np.nan)) == 0.0).all()
+    nearly_empty = np.full((90, 120, 3), np.nan, np.float32)
+    nearly_empty[40, 3] = 0.5
+    assert filled(nearly_empty) == pytest.approx(np.full((90, 120, 3), 0.5), abs=1e-5)
 
 
 def test_psnr_by_hand() -> None:
