@@ -173,7 +173,8 @@ AWAY = 0.25  # the same, of a part's depth from its block's
 STEP_SHARE = 0.4  # of the step between lens positions: no limit is less
 KNOWN = 0.6  # of the cells in and around a part that have a peak, or nothing is known of its surroundings
 BENT = 0.1  # of what the plane spans, by which a slope may be curved; a step is 0.2 and more off its plane
-POOR = 0.5  # of a block's parts: their curves have two peaks, each weaker than one
+POOR = 0.5  # of a block's parts: their curves have two peaks, each weaker than one,
+NOISES = 3.0  # and leave more unexplained than so many times the variance of their noise
 OWN_CELLS = 3  # of a part's four that have a peak: one in a corner may be the neighbour's contour
 ANY_CELLS = 5  # around a part: fewer do not speak against it
 AROUND = np.array([(1.0, row - 1.5, col - 1.5) for row in range(4) for col in range(4)])  # 4 x 4 cells: 1, y, x
@@ -200,10 +201,13 @@ def in_doubt(blocks: GridPeaks, parts: GridPeaks, step: float) -> NDArray[np.boo
     return doubt
 
 
-def with_edges(blocks: GridPeaks, parts: GridPeaks, cells: GridPeaks, step: float) -> tuple[GridPeaks, GridPeaks]:
+def with_edges(
+    blocks: GridPeaks, parts: GridPeaks, cells: GridPeaks, clarity: Array, step: float
+) -> tuple[GridPeaks, GridPeaks]:
     """Blocks and parts (2 x 2 cells) with those refused that hold two depths, or whose surroundings are unknown.
 
-    `step` between lens positions. Parts of a block that holds one depth are judged alike, and count for nothing.
+    clarity (n, parts down, parts across) at lens positions a `step` apart. Parts of a block that holds one depth are
+    judged alike, and count for nothing.
     """
     along = len(parts.reason) // len(blocks.reason)
     around = four_by_four(median_of_nine(np.where(cells.accepted, cells.lens_position, np.nan)))
@@ -214,12 +218,23 @@ def with_edges(blocks: GridPeaks, parts: GridPeaks, cells: GridPeaks, step: floa
     from_block = np.abs(parts.lens_position - each_part(blocks.lens_position, along))
     away = parts.accepted & (from_block > apart_from_block(blocks, parts, step))
     near = near_another(blocks, step)
-    poor = by_block(parts.reason == Reason.POOR_FIT, along).mean(axis=-1) >= POOR
+    poor = by_block(with_two_peaks(clarity, parts), along).mean(axis=-1) >= POOR
     two = poor | any_part(
         edge_inside | (edge & each_part(near, along)) | (away & each_part(blocks.accepted, along)), along
     )
     parts = parts.refused(parts.accepted & ~known, Reason.NO_TEXTURE).refused(edge, Reason.TWO_DEPTHS)
     return blocks.refused(two, Reason.TWO_DEPTHS), parts
+
+
+def with_two_peaks(clarity: Array, parts: GridPeaks) -> NDArray[np.bool_]:
+    """Parts (rows, cols) whose curves (n, rows, cols) are not those of one depth, by more than noise makes of them.
+
+    A peak bends a curve at a few lens positions, noise at all of them: the median tells noise alone.
+    """
+    bends = np.median(np.abs(np.diff(clarity, 2, axis=0)), axis=0)
+    noise2 = (bends / 0.6745) ** 2 / 6.0  # a second difference adds up six variances
+    left = (1.0 - parts.quality**2) * clarity.var(axis=0)
+    return np.asarray((parts.reason == Reason.POOR_FIT) & (left > NOISES * noise2), np.bool_)
 
 
 def near_another(blocks: GridPeaks, step: float) -> NDArray[np.bool_]:

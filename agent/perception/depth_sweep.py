@@ -315,7 +315,7 @@ def measure(
         asked = each_part(in_doubt(blocks, parts, step), along)
         cells = grid_peaks(x, finer.cells, side * side / 4, CELL_QUALITY, (5, 5), asked)
         all_over = shown(x, finer.parts, blocks, parts, step)
-        blocks, parts = with_edges(blocks, parts, cells, step)
+        blocks, parts = with_edges(blocks, parts, cells, finer.parts, step)
         blocks = blocks.refused(blocks.accepted & ~all_over, Reason.NO_TEXTURE)
         parts = parts if method == "matched" else parts.by(method, x, finer.parts)
     blocks = blocks if method == "matched" else blocks.by(method, x, taken.clarity)

@@ -6,7 +6,17 @@ import cv2
 import numpy as np
 import pytest
 
-from agent.perception.depth_peaks import GridPeaks, Reason, cuts, enclosed, middle, off_plane, shown, with_edges
+from agent.perception.depth_peaks import (
+    GridPeaks,
+    Reason,
+    cuts,
+    enclosed,
+    middle,
+    off_plane,
+    shown,
+    with_edges,
+    with_two_peaks,
+)
 from agent.perception.depth_sweep import clarity_of, measure, sweep
 from hw.camera.files import open_stack
 from tests.bench.pictures.scenes import FRAMES, render
@@ -70,10 +80,23 @@ def test_a_step_is_told_from_a_slope(depth, two):
     y, x = np.mgrid[:40, :40].astype(float)
     pixels = depth(x, y)
     block, parts, cells = (squares(pixels.reshape(n, 40 // n, n, 40 // n).mean(axis=(1, 3))) for n in (1, 4, 8))
-    blocks, parts = with_edges(block, parts, cells, 1.0)
+    curves = 1.0 / (1.0 + ((np.arange(25.0)[:, None, None] - parts.lens_position) / 2.0) ** 2)
+    blocks, parts = with_edges(block, parts, cells, curves, 1.0)
     assert blocks.reason[0, 0] == (Reason.TWO_DEPTHS if two else Reason.ACCEPTED)
     wrong = [np.ptp(pixels[10 * r : 10 * r + 10, 10 * c : 10 * c + 10]) > 1 for r, c in np.argwhere(parts.accepted)]
     assert not any(wrong) and parts.accepted.any()
+
+
+def test_two_peaks_are_told_from_noise():
+    """Of curves that are not those of one depth, and of one that is."""
+    x, rng = np.arange(30.0), np.random.default_rng(0)
+    one, other = (1.0 / (1.0 + ((x - at) / 2.0) ** 2) for at in (10.0, 19.0))
+    curves = np.stack([one + 0.6 * other, one + 0.15 * rng.standard_normal(30), one], axis=1)[:, None]
+    quality = [[np.corrcoef(curve, one)[0, 1] for curve in curves[:, 0].T]]
+    parts = squares(np.full((1, 3), 10.0))._replace(
+        quality=np.array(quality), reason=np.array([[Reason.POOR_FIT, Reason.POOR_FIT, Reason.ACCEPTED]], np.uint8)
+    )
+    assert with_two_peaks(curves, parts).tolist() == [[True, False, False]]
 
 
 def test_a_plain_part_is_filled_in_between_others_and_never_beyond_them():
