@@ -16,6 +16,7 @@ ROOT = Path(__file__).parents[1]
 OUTSIDE = (
     "CONTRIBUTING.md",
     "agent/perception/enhancement/weights/README.md",
+    "agent/reconstruction/viewer/README.md",
     "hw/README.md",
     "replay/README.md",
     "router_config/README.md",

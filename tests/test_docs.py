@@ -122,6 +122,17 @@ def test_the_site_names_every_page_once_and_no_other() -> None:
     assert all((ROOT / page).is_file() for page in site_hook.OUTSIDE)
 
 
+def test_a_page_that_pages_lead_to_is_on_the_site() -> None:
+    led = {
+        (page.parent / link.partition("#")[0]).resolve()
+        for page in ROOT.glob("docs/**/*.md")
+        for link in LINK.findall(page.read_text(encoding="utf-8"))
+        if link.partition("#")[0].endswith(".md") and "://" not in link
+    }
+    outside = {page.relative_to(ROOT).as_posix() for page in led if not page.is_relative_to(ROOT / "docs")}
+    assert outside and outside <= {"README.md", *site_hook.OUTSIDE}
+
+
 def named_pages(entry: Any) -> list[str]:
     """Of a part of a navigation: a page, a title with a page or a part, or a list of these."""
     if isinstance(entry, str):
