@@ -143,12 +143,12 @@ class Live:
         key = self._rows.key(topic, chunks, payload)
         if key is None:
             return
-        if seldom_ns := SELDOM_NS.get(topic.message):
-            if arrived_ns - self._shown_ns.get(key, 0) < seldom_ns:
-                return
-            self._shown_ns[key] = arrived_ns
+        seldom_ns, shown_ns = SELDOM_NS.get(topic.message), self._shown_ns.get(key)
+        if seldom_ns is not None and shown_ns is not None and arrived_ns - shown_ns < seldom_ns:
+            return
         if topic.message not in LINES:
-            self._board.show(key, partial(self._rows.message, topic, chunks, payload))
+            if self._board.show(key, partial(self._rows.message, topic, chunks, payload)) and seldom_ns is not None:
+                self._shown_ns[key] = arrived_ns
             return
         try:
             self._board.say(self._rows.message(topic, chunks, payload))

@@ -221,14 +221,15 @@ class Board:
         self._lines: deque[msgspec.Raw] = deque(maxlen=KEPT)
         self._viewers: set[Viewer] = set()
 
-    def show(self, key: str, make: Make) -> None:
-        """In place of what was shown of this key."""
+    def show(self, key: str, make: Make) -> bool:
+        """In place of what was shown of this key. False: there are too many keys already, and it is not shown."""
         most = MOST_SURFACES if key.startswith("surface/") else MOST_KEYS
         if key not in self._newest and len(self._newest) >= most:
-            return
+            return False
         self._newest[key] = Item(make)
         for viewer in self._viewers:
             viewer.wants(key)
+        return True
 
     def say(self, line: Shown) -> None:
         """Behind the lines that were said; a line is a message of the page as well."""

@@ -13,6 +13,7 @@ import numpy as np
 from cv2 import imencode
 from websockets.sync.client import ClientConnection, connect
 
+from agent.core.capability_messages import TURN_ONE, Frame, Keyframe, Lens
 from agent.core.codec import encode
 from agent.core.config import Fleet, Pose, Robot, Target, dump
 from agent.core.messages import Image, LogLine, Message, State
@@ -46,6 +47,15 @@ def state(robot: str = "r1", target: str = "ball", **about: Any) -> State:
     head = {"fleet": "test", "incarnation": NOW_NS - 5, "seq": 3, "sent_ns": NOW_NS, "t": 7}
     place = {"posterior_m": (0.76, 0.56, 0.07), "posterior_sigma_m": 0.0015, "armed": True, "depth_m": 0.4}
     return State(robot=robot, target=target, **{**head, "knows": "sees", **place, **about})
+
+
+def keyframe(src: str, **changes: Any) -> Keyframe:
+    """r1 has looked straight down from 0.4 m, at four blocks; the last one has no depth."""
+    lens = Lens(f=5000, cx=320, cy=320, bend=0, ahead=0, block=32, cols=2)
+    depths = b"".join(z.to_bytes(2, "little") for z in (2500, 2500, 5000, 0))
+    about = {"origin": "r1", "incarnation": 7, "number": 3, "place": (5000, 6000, 4000), "turn": (0, TURN_ONE, 0, 0)}
+    frame = Frame(**{**about, "lens": lens, "depths": depths, "sigmas": bytes(4), **changes})
+    return Keyframe(fleet="test", src=src, dst="r2", incarnation=7, seq=1, sent_ns=NOW_NS, frame=frame)
 
 
 def log(robot: str = "r1", text: str = "sees since iteration 6", **about: Any) -> LogLine:

@@ -10,12 +10,12 @@ import pytest
 from agent.clock.clock import SystemClock
 from agent.core.codec import Refusal
 from agent.core.config import ConfigError
-from agent.core.topics import LINK, LOG, STATE
+from agent.core.topics import KEYFRAME, LINK, LOG, STATE
 from agent.ground.console import OrderConsole
 from agent.ground.page.live import UNDER_WAY, Live, Recording, Reply, give
 from agent.ground.page.rows import Board
 from agent.process.transport import Received
-from tests.ground.page.shown import FLEET, NOW_NS, log, row, state
+from tests.ground.page.shown import FLEET, NOW_NS, keyframe, log, row, state
 from tests.sample_messages import estimate
 from tests.waiting import until
 
@@ -232,3 +232,15 @@ def test_a_recording_is_begun_ended_and_its_trouble_is_told(tmp_path) -> None:
     failing.start()
     failing.close()
     assert failing.note()["trouble"] == "the disk is full"
+
+
+def test_what_a_sweep_showed_is_shown_when_it_is_first_told_and_once() -> None:
+    board = Board()
+    live, viewer = Live(FLEET, board, SystemClock()), board.join()
+    taken = []
+    for k, src in enumerate(("r1", "r2", "r1")):  # r2 passes it on
+        live._take(Received(*row(keyframe(src), KEYFRAME, src=src, dst="r2"), NOW_NS + k))
+        shown = [json.loads(message)["k"] for message in board.next_for(viewer)]
+        viewer.got(shown)
+        taken.append(shown)
+    assert taken == [["surface/r1/7/3"], [], []]

@@ -9,13 +9,13 @@ from typing import Any
 
 import pytest
 
-from agent.core.capability_messages import TURN_ONE, Claim, Frame, Has, Keyframe, Lens, View
+from agent.core.capability_messages import TURN_ONE, Claim, Has, Lens, View
 from agent.core.codec import Refusal, encode
 from agent.core.messages import Answer
 from agent.core.topics import ANSWER, CLAIM, IMAGE, KEYFRAME, LIGHT, LINK, LOG, NEAR, STATE
 from agent.core.verdict import ORDER
 from agent.ground.page.rows import KEPT, MOST_KEYS, Board, Rows, Viewer, text
-from tests.ground.page.shown import FLEET, NOW_NS, image, log, received, row, state
+from tests.ground.page.shown import FLEET, NOW_NS, image, keyframe, log, received, row, state
 from tests.sample_messages import estimate, presence
 
 ROWS = Rows(FLEET)
@@ -116,15 +116,6 @@ def test_where_a_survey_looks_next_is_a_place_and_a_direction() -> None:
     assert shown["looks"]["x_m"] == pytest.approx([1.2, 0.3, 0.25])
     assert shown["looks"]["ahead"] == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)
     assert (shown["keyframes"], shown["keyframes_held"], shown["share"]) == (3, 7, 0.5)
-
-
-def keyframe(src: str, **changes: Any) -> Keyframe:
-    """r1 has looked straight down from 0.4 m, at four blocks; the last one has no depth."""
-    lens = Lens(f=5000, cx=320, cy=320, bend=0, ahead=0, block=32, cols=2)
-    depths = b"".join(z.to_bytes(2, "little") for z in (2500, 2500, 5000, 0))
-    about = {"origin": "r1", "incarnation": 7, "number": 3, "place": (5000, 6000, 4000), "turn": (0, TURN_ONE, 0, 0)}
-    frame = Frame(**{**about, "lens": lens, "depths": depths, "sigmas": bytes(4), **changes})
-    return Keyframe(fleet="test", src=src, dst="r2", incarnation=7, seq=1, sent_ns=NOW_NS, frame=frame)
 
 
 def test_what_a_sweep_showed_is_one_thing_whoever_passes_it_on() -> None:
