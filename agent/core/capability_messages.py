@@ -43,8 +43,8 @@ Quaternion = tuple[Whole, Whole, Whole, Whole]
 
 
 class Lens(msgspec.Struct, frozen=True, array_like=True):
-    """Where the blocks of a picture look, in tenths of pixels: a point (x, y, z) of the camera frame has the slopes
-    s = (x, y) / (z - ahead) and is seen at c + f (1 + bend |s|^2) s, counted from the corner of the first block."""
+    """Where the blocks of a picture look, in tenths of pixels. A point (x, y, z) of the camera frame has the slopes
+    s = (x, y) / (z - ahead). It is seen at c + f (1 + bend |s|^2) s, counted from the corner of the first block."""
 
     f: Annotated[int, Meta(ge=100, le=10**6), means("0.1 px, at the lens position of the picture")]
     cx: Annotated[int, Meta(ge=-(10**6), le=10**6), means("0.1 px, from the left edge of the first block")]
