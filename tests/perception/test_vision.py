@@ -87,6 +87,7 @@ def test_a_lost_camera_is_opened_again(worker, images):
     first.gone = True
     while not second.seq:
         time.sleep(0.002)
+    out.drain()  # of the first camera
     seen = collect(out, lambda s: len(s) >= 1)
     assert seen and first.closed and out.errors == 2
     collect(out, lambda s: len(s) >= 1)
