@@ -269,10 +269,18 @@ def _shares(squares: Picture, side_px: float, times: int, small: tuple[int, int]
 # spread: the largest of the four 1/z less the smallest; s: mean of their standard deviations. Where one is unknown, a
 # pixel in the triangle between the other three has the plane through them. Whole blocks first, which hold more
 # texture; parts fill in between.
+#
+# Before, a block and those around it that lie on a plane share what they know: noise of blocks is their own, and a plane
+# stays one in 1/z. Beyond an edge nothing is shared, for what is there lies on no plane with this side. Noise hides how
+# round a thing is, so that the squares are small: over SQUARE_M a ball of 70 mm is off a plane by less than FLOOR_M.
 
 MOST_SPREAD = 0.12  # of the range: four blocks that differ by more are not on one surface
 SPREAD_SHARE = 0.1  # of the spread, as an error: a surface between blocks is not quite a plane
 FLOOR_M = 2e-3  # what no block is better than, whatever its fit says
+ON_PLANE = 3.0  # sigmas that a block is off the plane of those around it at most
+FEWEST, WORST = 0.6, 2.0  # share of a square that lies on it; mean squared deviation there, of what is expected
+REACHES = 2, 1  # blocks to each side of the middle one; the larger square where it can be
+SQUARE_M = 0.025  # from the middle of a square to that of its farthest row
 
 
 class FocusMap(NamedTuple):
@@ -282,14 +290,14 @@ class FocusMap(NamedTuple):
     sigma_m: NDArray[np.float32]
 
 
-def focus_map(found: DepthMap, focus: FocusFit, times: int, size: tuple[int, int]) -> FocusMap:
+def focus_map(found: DepthMap, focus: FocusFit, f_px: float, times: int, size: tuple[int, int]) -> FocusMap:
     """Depths of pixels of a picture `times` smaller than the one that was measured; size (width, height) of it.
 
-    found has ranges of this calibration.
+    found has ranges of this calibration; f_px: of the picture that was measured.
     """
-    depth, sigma = _from_grid(found.blocks, focus, found.block_px, times, size)
+    depth, sigma = _from_grid(found.blocks, focus, f_px, found.block_px, times, size)
     if found.parts is not None:
-        finer, its = _from_grid(found.parts, focus, found.block_px / found.along, times, size)
+        finer, its = _from_grid(found.parts, focus, f_px, found.block_px / found.along, times, size)
         depth, sigma = np.where(np.isnan(depth), finer, depth), np.where(np.isnan(depth), its, sigma)
     return FocusMap(depth.astype(np.float32), sigma.astype(np.float32))
 
@@ -302,12 +310,14 @@ def range_sigma_m(peaks: GridPeaks, focus: FocusFit) -> Floats:
 
 
 def _from_grid(
-    peaks: GridPeaks, focus: FocusFit, side_px: float, times: int, size: tuple[int, int]
+    peaks: GridPeaks, focus: FocusFit, f_px: float, side_px: float, times: int, size: tuple[int, int]
 ) -> tuple[Floats, Floats]:
     assert peaks.range_m is not None  # it was measured with a calibration
     known = peaks.accepted & np.isfinite(peaks.range_m)
     vergence = np.where(known, 1.0 / np.where(known, peaks.range_m, 1.0), np.nan)
     sigma = np.where(known, range_sigma_m(peaks, focus), np.nan)
+    vergence, sigma = _shared(vergence, sigma * vergence**2, side_px / f_px)
+    sigma = sigma / vergence**2
     (top, down), (left, across) = (
         _between(length, count, side_px, times) for length, count in zip(size[::-1], vergence.shape, strict=True)
     )
@@ -323,6 +333,47 @@ def _from_grid(
         agree = spread * depth < MOST_SPREAD
     total = np.sqrt(s**2 + (SPREAD_SHARE * spread * depth**2) ** 2 + FLOOR_M**2)
     return np.where(agree, depth, np.nan), np.where(agree, total, np.nan)
+
+
+def _shared(vergence: Floats, sigma: Floats, side: float) -> tuple[Floats, Floats]:
+    """1/z of blocks (rows, cols) and their standard deviations, NaN where unknown, by the planes that they lie on.
+
+    side: of a block, as a slope.
+    """
+    at, its = vergence.copy(), sigma.copy()
+    alone = np.isfinite(vergence)
+    for reach in REACHES:
+        plane, doubt = _plane_of(vergence, sigma, reach)
+        takes = alone & np.isfinite(plane) & (reach * side <= SQUARE_M * vergence)
+        at[takes], its[takes] = plane[takes], doubt[takes]
+        alone &= ~takes
+    return at, its
+
+
+def _plane_of(vergence: Floats, sigma: Floats, reach: int) -> tuple[Floats, Floats]:
+    """The plane through the square of blocks about each, there, and its standard deviation; NaN: it lies on none."""
+    rows, cols = vergence.shape
+    side = range(-reach, reach + 1)
+    steps = np.array([(1.0, across, down) for down in side for across in side])
+
+    def around(values: Floats) -> Floats:
+        wide = np.pad(values, reach, constant_values=np.nan)
+        return np.stack([wide[k + reach :, n + reach :][:rows, :cols] for k in side for n in side], axis=-1)
+
+    v, s = around(vergence), around(sigma)
+    counts = np.isfinite(v)
+    v, s = np.where(counts, v, 0.0), np.where(counts, s, 1.0)
+    for _ in range(2):  # once with all, then without those that are off
+        weight = np.where(counts, s**-2, 0.0)
+        H = np.einsum("rck,ki,kj->rcij", weight, steps, steps)
+        H = np.where(counts.sum(axis=-1)[..., None, None] > 0, H, np.eye(3))
+        C = np.linalg.inv(H + 1e-9 * H[..., :1, :1] * np.eye(3))
+        plane = np.einsum("rcij,rck,kj->rci", C, weight * v, steps)
+        off = (v - plane @ steps.T) / s
+        on, deviation = counts.sum(axis=-1), np.where(counts, off * off, 0.0).sum(axis=-1)
+        counts &= np.abs(off) <= ON_PLANE
+    takes = (on >= FEWEST * len(steps)) & counts[..., len(steps) // 2] & (deviation <= WORST * (on - 3))
+    return np.where(takes, plane[..., 0], np.nan), np.where(takes, np.sqrt(C[..., 0, 0]), np.nan)
 
 
 def _with_the_fourth(four: Floats, weight: Floats) -> Floats:
@@ -405,7 +456,7 @@ def keyframe(
         n = int(np.bincount(finest.argmax(axis=0).ravel()).argmax())
         picture = shrunk_frame(images[n], float(size[n]), centre, times, gamma)
     camera = shrunk(whole, times)
-    return Swept(camera, picture, focus_map(found, focus, times, (camera.width, camera.height)))
+    return Swept(camera, picture, focus_map(found, focus, fit.f_px, times, (camera.width, camera.height)))
 
 
 def growth_of(images: Sequence[Image], lens_positions: Array, calibration: Calibration) -> float:

@@ -44,6 +44,7 @@ from tests.reconstruction.drawn import ball_depth, drawn_view, plane_depth
 FOCUS = FocusFit(u_inf_m=0.001, b_m=130.0, rho0=90.0, covariance=(0.0,) * 6, noise=0.7, width=250.0, lowest=190,
                  highest=700, r2=1.0, rmse_m=0.0, held_out_rmse_m=0.0)  # fmt: skip
 BLOCK, TIMES = 50, 4
+F_PX, LONG_PX = 600.0, 2400.0  # of a block of 50 px in 0.5 m: 42 and 10 mm, of which squares are shared
 
 
 def grid(range_m: np.ndarray) -> DepthMap:
@@ -58,7 +59,7 @@ def grid(range_m: np.ndarray) -> DepthMap:
 def test_a_plane_between_blocks_is_a_plane() -> None:
     """1/z of a plane is linear in the pixel; the middle of block n is pixel 50 n + 24.5."""
     u, v = np.meshgrid(50 * np.arange(8) + 24.5, 50 * np.arange(6) + 24.5)
-    found = focus_map(grid(1.0 / (2.0 + 4e-4 * u - 3e-4 * v)), FOCUS, TIMES, (100, 75))
+    found = focus_map(grid(1.0 / (2.0 + 4e-4 * u - 3e-4 * v)), FOCUS, F_PX, TIMES, (100, 75))
     small_u, small_v = np.meshgrid(4 * np.arange(100) + 1.5, 4 * np.arange(75) + 1.5)
     known = np.isfinite(found.depth_m)
     assert known.mean() > 0.7  # half a block at the rim has no four around it
@@ -71,7 +72,7 @@ def test_three_blocks_tell_what_lies_between_them() -> None:
     u, v = np.meshgrid(50 * np.arange(8) + 24.5, 50 * np.arange(6) + 24.5)
     ranges = 1.0 / (2.0 + 4e-4 * u - 3e-4 * v)
     ranges[2, 3] = np.nan
-    found = focus_map(grid(ranges), FOCUS, TIMES, (100, 75))
+    found = focus_map(grid(ranges), FOCUS, F_PX, TIMES, (100, 75))
     u, v = np.meshgrid(np.arange(100), np.arange(75))
     away = np.abs(u - 43.25) / 12.5 + np.abs(v - 30.75) / 12.5  # 1 at the four blocks beside it
     asked = (u > 6) & (u < 93) & (v > 6) & (v < 68) & (np.abs(away - 1.0) > 1e-9)
@@ -85,7 +86,7 @@ def test_across_a_step_nothing_is_guessed() -> None:
     ranges = np.full((6, 8), 0.5)
     ranges[:, 4:] = 0.7
     ranges[2, 1] = np.nan
-    found = focus_map(grid(ranges), FOCUS, TIMES, (100, 75))
+    found = focus_map(grid(ranges), FOCUS, F_PX, TIMES, (100, 75))
     between = slice(int((50 * 3 + 24.5) / 4) + 2, int((50 * 4 + 24.5) / 4) - 1)
     assert np.isnan(found.depth_m[:, between]).all()
     assert np.isnan(found.depth_m[27:35, 15:22]).all()  # what is nearer to the unknown block than to all others
@@ -98,9 +99,27 @@ def test_sigma_is_the_calibrations() -> None:
     for row, col in np.ndindex(2, 2):
         rho = float(found.blocks.lens_position[row, col])
         assert told[row, col] ** 2 == pytest.approx(range_variance(FOCUS, rho, 2.0)[0])
-    flat = focus_map(grid(np.full((6, 8), 0.5)), FOCUS, TIMES, (100, 75))
+    flat = focus_map(grid(np.full((6, 8), 0.5)), FOCUS, F_PX, TIMES, (100, 75))
     s = np.sqrt(range_variance(FOCUS, float(grid(np.full((1, 1), 0.5)).blocks.lens_position[0, 0]), 2.0)[0])
     np.testing.assert_allclose(flat.sigma_m[np.isfinite(flat.sigma_m)], np.hypot(s, FLOOR_M), rtol=1e-5)
+
+
+def test_blocks_of_a_plane_share_what_they_know_and_a_ball_and_an_edge_stay_what_they_are() -> None:
+    u, v = np.meshgrid(50 * np.arange(20) + 24.5, 50 * np.arange(16) + 24.5)
+    plane = 1.0 / (2.0 + 4e-4 * u - 3e-4 * v)
+    aside_m = np.hypot(u - 500.0, v - 400.0) * 0.5 / LONG_PX
+    ball = 0.57 - np.sqrt(np.maximum(0.07**2 - aside_m**2, 0.0))
+    edge = np.where(u < 500.0, plane, plane + 0.1)
+    rng, size = np.random.default_rng(7), (250, 200)
+
+    for ranges, most in ((plane, 0.5), (ball, 1.1), (edge, 0.7)):
+        noisy = grid(ranges + range_sigma_m(grid(ranges).blocks, FOCUS) * rng.standard_normal(ranges.shape))
+        alone, shared = (focus_map(noisy, FOCUS, f_px, TIMES, size) for f_px in (F_PX, LONG_PX))
+        exact = focus_map(grid(ranges), FOCUS, F_PX, TIMES, size).depth_m
+        known = np.isfinite(alone.depth_m) & np.isfinite(shared.depth_m) & np.isfinite(exact)
+        alone_m, shared_m = (np.sqrt(np.mean((found.depth_m - exact)[known] ** 2)) for found in (alone, shared))
+        assert shared_m < most * alone_m
+        assert np.sqrt(np.mean(((shared.depth_m - exact) / shared.sigma_m)[known] ** 2)) < 1.3
 
 
 def test_each_part_comes_from_its_sharpest_frame_on_the_largest_ones_scale() -> None:
