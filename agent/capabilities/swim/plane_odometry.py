@@ -4,11 +4,13 @@ Where the robot was at the key frame is known to millimetres, so each ray of the
 point a. Now that point is seen in another direction. In the upright frame that the body had at the key frame, the robot
 is at t, turned by dpsi, and sees a at
 
-    q = R(dpsi)' (a - t) - o ;  bearing = atan2(q_y, q_x) ;  elevation = atan2(q_z, |q_xy|) + e
+    q = R(dpsi)' (a - t) - o ;  bearing = atan2(q_y, q_x) + aside ;  elevation = atan2(q_z, |q_xy|) + above
+    aside = -w tan(elevation) cos(u) ;  above = e + w sin(u)
 
-t, dpsi and e minimise the sum of squares, by Gauss-Newton. e, by which all points are seen too high alike, is what
-noise of the level does (0.05 degrees, which looks like 6 mm of way on a floor 1.2 m off), its wake or a gimbal that
-settles.
+u is how far the bearing is from the camera's. t, dpsi, e and w minimise the sum of squares, by Gauss-Newton. e and w are
+by how much the camera looks too low and is rolled, which is what noise of the level does (0.05 degrees, which looks like
+6 mm of way on a floor 1.2 m off), a body that heels as it is pushed, or a gimbal that settles. To a camera that looks
+down a roll looks like a turn.
 
 Some points lie on a thing that swims, maybe most of them. They agree with each other, but not with the motion that the
 robot expects of itself. So the points that count are at first those near where that motion puts them, and then those
@@ -37,7 +39,7 @@ AGREE_RAD = 0.004  # median residual of points that lie on floor and walls: four
 STANDS_M = 0.002  # sigma of a robot that stays where it is: level noise of two frames
 OF_WAY = 0.008  # and what of the way adds to it
 TURN_RAD = math.radians(0.05)
-LEVEL_RAD = math.radians(0.07)  # sigma of e: level noise of two frames
+LEVEL_RAD = math.radians(0.07)  # sigma of e and of w: level noise of two frames
 # What swims hides behind stones, which a camera that goes with it sees more of than of walls. Points on a thing half as
 # far as the wall behind it, taken for points of the wall, make a turn of as much of the way aside.
 THINGS_M, OF_THINGS = 1.4, 0.3  # such a wall; and the share of the way that is not known either
@@ -93,17 +95,18 @@ def odometry(
             points.append(Point(place_m, math.atan2(y, x), math.atan2(z, math.hypot(x, y))))
     if len(points) < FEWEST:
         return "too few"
-    state, L = [*_between(then, now), 0.0], None
-    kept, off = _agree(eye_now, state, points)
+    x, y, _ = direction(eye_now, (0.0, 0.0))
+    axis, state, L = math.atan2(y, x), [*_between(then, now), 0.0, 0.0], None
+    kept, off = _agree(eye_now, axis, state, points)
     lift = math.hypot(LEVEL_RAD, unsettled, wake)
     for _ in range(ROUNDS):
-        H, g = _normal(eye_now, state, kept, lift / max(off, SEEN_RAD))
+        H, g = _normal(eye_now, axis, state, kept, lift / max(off, SEEN_RAD))
         L = cholesky(H) if len(kept) >= FEWEST else None
         if L is None:
             return "contrary"
         step = backward(L, forward(L, g))
         state = [a + b for a, b in zip(state, step, strict=True)]
-        kept, off = _agree(eye_now, state, points)
+        kept, off = _agree(eye_now, axis, state, points)
         if max(map(abs, step)) < SETTLED:
             break
     way_m = math.hypot(state[0], state[1])
@@ -156,9 +159,9 @@ def _towards(eye: Upright, at: Theta, way: Planar, others_m: Sequence[Vector]) -
     return False
 
 
-def _agree(eye: Upright, state: Sequence[float], points: Sequence[Point]) -> tuple[list[Point], float]:
+def _agree(eye: Upright, axis: float, state: Sequence[float], points: Sequence[Point]) -> tuple[list[Point], float]:
     """The points that are about where they should be after that motion, and their median residual."""
-    misses = [_miss(eye, state, point) for point in points]
+    misses = [math.hypot(*_miss(eye, axis, state, point)[:2]) for point in points]
     off = MEDIAN * sorted(misses)[len(misses) // 4]
     return [point for point, miss in zip(points, misses, strict=True) if miss <= STRAY * max(off, SEEN_RAD)], off
 
@@ -179,13 +182,14 @@ def _from(eye: Upright, state: Sequence[float], point: Point) -> tuple[float, fl
 
 
 def _normal(
-    eye: Upright, state: Sequence[float], points: Sequence[Point], lift: float
+    eye: Upright, axis: float, state: Sequence[float], points: Sequence[Point], lift: float
 ) -> tuple[list[list[float]], list[float]]:
-    """J' J and J' r over directions, and the prior of e, whose sigma is `lift` of a direction's."""
+    """J' J and J' r over directions, and the prior of e and w, whose sigma is `lift` of a direction's."""
     c, s = math.cos(state[2]), math.sin(state[2])
-    H = [[0.0] * 4 for _ in range(4)]
-    H[3][3] = 1.0 / (lift * lift)
-    g = [0.0, 0.0, 0.0, -state[3] * H[3][3]]
+    n, weight = len(state), 1.0 / (lift * lift)
+    H = [[0.0] * n for _ in range(n)]
+    H[3][3] = H[4][4] = weight
+    g = [0.0, 0.0, 0.0, -state[3] * weight, -state[4] * weight]
     for point in points:
         qx, qy, qz, a, b = _from(eye, state, point)
         rho2 = max(qx * qx + qy * qy, 1e-6)
@@ -193,22 +197,26 @@ def _normal(
         level = rho / math.sqrt(far2)  # by which a bearing is less than an angle
         bx, by = -qy / rho2 * level, qx / rho2 * level  # of the bearing by q
         ex, ey = -qz * qx / (far2 * rho), -qz * qy / (far2 * rho)  # of the elevation
-        aside = wrap(point.bearing - math.atan2(qy, qx)) * level
-        above = point.elevation - math.atan2(qz, rho) - state[3]
+        aside, above, aside_by_roll, above_by_roll = _miss(eye, axis, state, point)
         for row, miss in (
-            ((-c * bx + s * by, -s * bx - c * by, b * bx - a * by, 0.0), aside),
-            ((-c * ex + s * ey, -s * ex - c * ey, b * ex - a * ey, 1.0), above),
+            ((-c * bx + s * by, -s * bx - c * by, b * bx - a * by, 0.0, aside_by_roll), aside),
+            ((-c * ex + s * ey, -s * ex - c * ey, b * ex - a * ey, 1.0, above_by_roll), above),
         ):
-            for i in range(4):
+            for i in range(n):
                 g[i] += row[i] * miss
                 for k in range(i + 1):
                     H[i][k] += row[i] * row[k]
     return H, g
 
 
-def _miss(eye: Upright, state: Sequence[float], point: Point) -> float:
-    """Angle between where a point is seen and where it should be."""
+def _miss(eye: Upright, axis: float, state: Sequence[float], point: Point) -> tuple[float, float, float, float]:
+    """Angles by which a point is seen to the left of where it should be and above it, and what a roll adds to either.
+
+    axis: the camera's bearing.
+    """
     qx, qy, qz, _, _ = _from(eye, state, point)
-    rho = math.hypot(qx, qy)
-    aside = wrap(point.bearing - math.atan2(qy, qx)) * rho / max(math.hypot(rho, qz), 1e-9)
-    return math.hypot(aside, point.elevation - math.atan2(qz, rho) - state[3])
+    rho, bearing = math.hypot(qx, qy), math.atan2(qy, qx)
+    far, off_axis = max(math.hypot(rho, qz), 1e-9), bearing - axis
+    aside_by_roll, above_by_roll = -qz / far * math.cos(off_axis), math.sin(off_axis)
+    aside = wrap(point.bearing - bearing) * rho / far - state[4] * aside_by_roll
+    return aside, point.elevation - math.atan2(qz, rho) - state[3] - state[4] * above_by_roll, aside_by_roll, above_by_roll

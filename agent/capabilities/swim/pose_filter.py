@@ -29,6 +29,9 @@ from agent.core.messages import Symmetric, Vector
 OF_THRUST, OF_DRAG = 0.15, 0.4  # share, one sigma: thrusters' gains and the mass; drag may be half or twice as large
 OF_TURN = 0.05  # of the moment, what its own gain, which is learnt, leaves: no two thrusters have the same lag
 ARM_M = 0.003  # of every push, which makes some moment: no two thrusters are alike
+# What a moment is off by while thrusters turn: near zero each gives what its own dead band leaves of a small thrust.
+# In surveys of the twin it is 0.1 rad/s^2, for some tenths of a second.
+DEAD_NM = 0.0035
 
 # An ESC's zero is off by some 5 us; where thrusters are kept turning (hw/firmware/thrust.py) that is 0.09 N of each of
 # four, at 0.17 m: what pushes and turns a robot from when they turn on, and no longer.
@@ -84,7 +87,8 @@ def motion(hull: Hull, state: tuple[float, ...], force: Wrench, asked: Wrench, h
     f, g, n = (f + (u - f) * reached for f, u in zip(force, asked, strict=True))
     spin = moment / hull.inertia_kgm2
     doubt = math.hypot(OF_THRUST * math.hypot(px, py), OF_DRAG * k * math.hypot(vx, vy))
-    turn_doubt = math.hypot(OF_TURN * spin, OF_DRAG * k_r * r, ARM_M * math.hypot(ahead, left) / hull.inertia_kgm2)
+    arm_nm, dead_nm = ARM_M * math.hypot(ahead, left), DEAD_NM if any(asked) else 0.0
+    turn_doubt = math.hypot(OF_TURN * spin, OF_DRAG * k_r * r, math.hypot(arm_nm, dead_nm) / hull.inertia_kgm2)
     u, v, bent = c * vx + s * vy, c * vy - s * vx, munk_kg / hull.inertia_kgm2
     ax, ay, turn = px - k * vx + dx, py - k * vy + dy, (1.0 + gain) * spin - bent * u * v - k_r * r + dpsi
     by_speed = -bent * (c * v - s * u), -bent * (s * v + c * u)

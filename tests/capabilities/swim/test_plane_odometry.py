@@ -130,6 +130,18 @@ def test_errors_are_no_larger_than_said(way) -> None:
     assert 0.1 < np.mean(nees) < 1.3
 
 
+@WAYS
+def test_a_body_that_heels_as_it_is_pushed_does_not_seem_to_turn(way) -> None:
+    """Its level is off by 0.3 degrees in the second frame, to each side, ahead or back."""
+    then, now = way
+    for roll_deg, pitch_deg in ((0.3, 0.0), (-0.3, 0.0), (0.0, 0.3), (0.2, -0.2)):
+        heeled = (*now[:4], now[4] + np.radians(roll_deg), now[5] + np.radians(pitch_deg), *now[6:])
+        found = odometry_of(pairs_of(np.random.default_rng(5), way, noise_px=0.3), (then, heeled))
+        off = np.subtract(found.pose, moved(way))
+        assert abs(np.degrees(off[2])) < 0.1
+        assert off @ np.linalg.solve(matrix(found.covariance), off) < 16.0
+
+
 def test_a_gimbal_that_settles_errs_in_yaw_alone() -> None:
     then, now = AHEAD
     tilted = (*now[:6], now[6] + 0.005, now[7] - 0.005)
