@@ -7,10 +7,10 @@ is at t, turned by dpsi, and sees a at
     q = R(dpsi)' (a - t) - o ;  bearing = atan2(q_y, q_x) + aside ;  elevation = atan2(q_z, |q_xy|) + above
     aside = -w tan(elevation) cos(u) ;  above = e + w sin(u)
 
-u is how far the bearing is from the camera's. t, dpsi, e and w minimise the sum of squares, by Gauss-Newton. e and w are
-by how much the camera looks too low and is rolled, which is what noise of the level does (0.05 degrees, which looks like
-6 mm of way on a floor 1.2 m off), a body that heels as it is pushed, or a gimbal that settles. To a camera that looks
-down a roll looks like a turn.
+u is how far the bearing is from the camera's. t, dpsi, e and w minimise the sum of squares, by Gauss-Newton. e and w
+are by how much the camera looks too low and is rolled: noise of the level does that (0.05 degrees, which look like 6 mm
+of way on a floor 1.2 m off), a body that heels as it is pushed, or a gimbal that settles. To a camera that looks down a
+roll looks like a turn.
 
 Some points lie on a thing that swims, maybe most of them. They agree with each other, but not with the motion that the
 robot expects of itself. So the points that count are at first those near where that motion puts them, and then those
@@ -60,6 +60,18 @@ class Point(NamedTuple):
     elevation: float
 
 
+class Miss(NamedTuple):
+    """A point as it is seen after a motion: by how much it is off, and what that depends on."""
+
+    aside: float  # to the left of where it should be, rad
+    above: float  # rad
+    by_roll: Planar  # what 1 rad of w adds to either
+    q: Vector  # the point from the camera, in the upright frame of now, m
+    from_robot: Planar  # and from the robot
+    rho: float  # |q_xy|
+    far: float  # |q|
+
+
 class Moved(NamedTuple):
     """The robot now, in the upright frame that it had at the key frame: z of pose_filter.add_flow."""
 
@@ -100,7 +112,7 @@ def odometry(
     kept, off = _agree(eye_now, axis, state, points)
     lift = math.hypot(LEVEL_RAD, unsettled, wake)
     for _ in range(ROUNDS):
-        H, g = _normal(eye_now, axis, state, kept, lift / max(off, SEEN_RAD))
+        H, g = _normal(state, kept, lift / max(off, SEEN_RAD))
         L = cholesky(H) if len(kept) >= FEWEST else None
         if L is None:
             return "contrary"
@@ -159,11 +171,16 @@ def _towards(eye: Upright, at: Theta, way: Planar, others_m: Sequence[Vector]) -
     return False
 
 
-def _agree(eye: Upright, axis: float, state: Sequence[float], points: Sequence[Point]) -> tuple[list[Point], float]:
-    """The points that are about where they should be after that motion, and their median residual."""
-    misses = [math.hypot(*_miss(eye, axis, state, point)[:2]) for point in points]
-    off = MEDIAN * sorted(misses)[len(misses) // 4]
-    return [point for point, miss in zip(points, misses, strict=True) if miss <= STRAY * max(off, SEEN_RAD)], off
+def _agree(eye: Upright, axis: float, state: Sequence[float], points: Sequence[Point]) -> tuple[list[Miss], float]:
+    """What is seen of the points that are about where they should be after that motion, and their median residual.
+
+    axis: the camera's bearing.
+    """
+    misses = [_miss(eye, axis, state, point) for point in points]
+    sizes = [math.hypot(miss.aside, miss.above) for miss in misses]
+    off = MEDIAN * sorted(sizes)[len(sizes) // 4]
+    most = STRAY * max(off, SEEN_RAD)
+    return [miss for miss, size in zip(misses, sizes, strict=True) if size <= most], off
 
 
 def _between(then: Theta, now: Theta) -> Vector:
@@ -173,50 +190,37 @@ def _between(then: Theta, now: Theta) -> Vector:
     return c * east + s * north, c * north - s * east, wrap(now[2] - then[2])
 
 
-def _from(eye: Upright, state: Sequence[float], point: Point) -> tuple[float, float, float, float, float]:
-    """The point from the camera of now, and its place before the eye's own offset is taken off."""
-    c, s = math.cos(state[2]), math.sin(state[2])
-    u, v = point.place_m[0] - state[0], point.place_m[1] - state[1]
+def _miss(eye: Upright, axis: float, state: Sequence[float], point: Point) -> Miss:
+    x, y, psi, e, w = state
+    c, s = math.cos(psi), math.sin(psi)
+    u, v = point.place_m[0] - x, point.place_m[1] - y
     a, b = c * u + s * v, c * v - s * u
-    return a - eye.origin_m[0], b - eye.origin_m[1], point.place_m[2] - eye.height_m, a, b
+    qx, qy, qz = a - eye.origin_m[0], b - eye.origin_m[1], point.place_m[2] - eye.height_m
+    rho, bearing = math.hypot(qx, qy), math.atan2(qy, qx)
+    far, off_axis = max(math.hypot(rho, qz), 1e-9), bearing - axis
+    by_roll = -qz / far * math.cos(off_axis), math.sin(off_axis)
+    aside = wrap(point.bearing - bearing) * rho / far - w * by_roll[0]
+    above = point.elevation - math.atan2(qz, rho) - e - w * by_roll[1]
+    return Miss(aside, above, by_roll, (qx, qy, qz), (a, b), max(rho, 1e-3), far)
 
 
-def _normal(
-    eye: Upright, axis: float, state: Sequence[float], points: Sequence[Point], lift: float
-) -> tuple[list[list[float]], list[float]]:
+def _normal(state: Sequence[float], seen: Sequence[Miss], lift: float) -> tuple[list[list[float]], list[float]]:
     """J' J and J' r over directions, and the prior of e and w, whose sigma is `lift` of a direction's."""
     c, s = math.cos(state[2]), math.sin(state[2])
     n, weight = len(state), 1.0 / (lift * lift)
     H = [[0.0] * n for _ in range(n)]
     H[3][3] = H[4][4] = weight
     g = [0.0, 0.0, 0.0, -state[3] * weight, -state[4] * weight]
-    for point in points:
-        qx, qy, qz, a, b = _from(eye, state, point)
-        rho2 = max(qx * qx + qy * qy, 1e-6)
-        rho, far2 = math.sqrt(rho2), rho2 + qz * qz
-        level = rho / math.sqrt(far2)  # by which a bearing is less than an angle
-        bx, by = -qy / rho2 * level, qx / rho2 * level  # of the bearing by q
-        ex, ey = -qz * qx / (far2 * rho), -qz * qy / (far2 * rho)  # of the elevation
-        aside, above, aside_by_roll, above_by_roll = _miss(eye, axis, state, point)
+    for aside, above, (aside_by_roll, above_by_roll), (qx, qy, qz), (a, b), rho, far in seen:
+        bx, by = -qy / (rho * far), qx / (rho * far)  # of the bearing by q, times rho / far: of an angle
+        ex, ey = -qz * qx / (far * far * rho), -qz * qy / (far * far * rho)  # of the elevation
         for row, miss in (
             ((-c * bx + s * by, -s * bx - c * by, b * bx - a * by, 0.0, aside_by_roll), aside),
             ((-c * ex + s * ey, -s * ex - c * ey, b * ex - a * ey, 1.0, above_by_roll), above),
         ):
-            for i in range(n):
-                g[i] += row[i] * miss
-                for k in range(i + 1):
-                    H[i][k] += row[i] * row[k]
+            for i, (weighs, line) in enumerate(zip(row, H, strict=True)):
+                if weighs:
+                    g[i] += weighs * miss
+                    for k in range(i + 1):
+                        line[k] += weighs * row[k]
     return H, g
-
-
-def _miss(eye: Upright, axis: float, state: Sequence[float], point: Point) -> tuple[float, float, float, float]:
-    """Angles by which a point is seen to the left of where it should be and above it, and what a roll adds to either.
-
-    axis: the camera's bearing.
-    """
-    qx, qy, qz, _, _ = _from(eye, state, point)
-    rho, bearing = math.hypot(qx, qy), math.atan2(qy, qx)
-    far, off_axis = max(math.hypot(rho, qz), 1e-9), bearing - axis
-    aside_by_roll, above_by_roll = -qz / far * math.cos(off_axis), math.sin(off_axis)
-    aside = wrap(point.bearing - bearing) * rho / far - state[4] * aside_by_roll
-    return aside, point.elevation - math.atan2(qz, rho) - state[3] - state[4] * above_by_roll, aside_by_roll, above_by_roll
