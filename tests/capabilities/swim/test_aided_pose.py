@@ -135,7 +135,8 @@ def test_it_is_as_good_as_it_says_and_better_than_nothing() -> None:
     aided_ones = [row for row in rows if row[2] is not None]
     own_m, aided_m = (math.sqrt(np.mean([row[k] ** 2 for row in aided_ones])) for k in (0, 1))
     assert len(aided_ones) > 0.4 * len(rows) and aided_m < 0.6 * own_m
-    assert 0.4 < np.mean([row[2] for row in aided_ones]) < 1.3
+    # Of chi-square by its three degrees the median is 0.79. The mean of six drifts is mostly that of the wildest one.
+    assert 0.5 < np.median([row[2] for row in aided_ones]) < 1.2
 
 
 def test_without_the_gate_of_yaw_it_boasts(monkeypatch) -> None:
