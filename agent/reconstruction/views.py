@@ -271,8 +271,9 @@ def _shares(squares: Picture, side_px: float, times: int, small: tuple[int, int]
 # texture; parts fill in between.
 #
 # Before, a block and those around it that lie on a plane share what they know: noise of blocks is their own, and a
-# plane stays one in 1/z. Beyond an edge nothing is shared, for what is there lies on no plane with this side. Noise hides how
-# round a thing is, so that the squares are small: over SQUARE_M a ball of 70 mm is off a plane by less than FLOOR_M.
+# plane stays one in 1/z. Beyond an edge nothing is shared, for what is there lies on no plane with this side. Noise
+# hides how round a thing is, so that the squares are small: over SQUARE_M a ball of 70 mm is off a plane by less than
+# FLOOR_M.
 
 MOST_SPREAD = 0.12  # of the range: four blocks that differ by more are not on one surface
 SPREAD_SHARE = 0.1  # of the spread, as an error: a surface between blocks is not quite a plane
