@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from agent.core.ranging.camera_model import CameraFit, FocusFit
 from agent.core.ranging.focus import (
+    ANY_WAY,
     Array,
     Method,
     NoPeak,
@@ -50,12 +51,15 @@ def middle_px(row: int, col: int, side_px: float, corner_px: Corner = (0.0, 0.0)
     return corner_px[0] + (col + 0.5) * side_px - 0.5, corner_px[1] + (row + 0.5) * side_px - 0.5
 
 
-def z_depth(focus: FocusFit, camera: CameraFit | None, rho: float, px: tuple[float, float]) -> float | None:
-    """From the pivot, along the axis, of what is sharp at rho and seen at a pixel; None: sharp at infinity."""
+def z_depth(
+    focus: FocusFit, camera: CameraFit | None, rho: float, px: tuple[float, float], outward: float = ANY_WAY
+) -> float | None:
+    """From the pivot, along the axis, of what is sharp at rho and seen at a pixel; None: sharp at infinity. outward:
+    see `focus.port_share`."""
     if camera is None:
         return h(focus, rho)
     u_m = h(in_direction(focus, camera, px), rho)
-    return None if u_m is None else through_port(u_m, port_share(camera, px))
+    return None if u_m is None else through_port(u_m, port_share(camera, px, outward))
 
 
 class Reason(IntEnum):
@@ -100,13 +104,25 @@ class GridPeaks(NamedTuple):
         lens_position[self.accepted], sigma[self.accepted] = peaks.lens_position, peaks.sigma
         return self._replace(lens_position=lens_position, sigma=sigma)
 
-    def ranged(self, focus: FocusFit, camera: CameraFit | None, side_px: float, corner_px: Corner) -> GridPeaks:
+    def ranged(
+        self,
+        focus: FocusFit,
+        camera: CameraFit | None,
+        side_px: float,
+        corner_px: Corner,
+        outward: Array | None = None,
+    ) -> GridPeaks:
         """The same, with the range of what is accepted as this calibration tells it; squares of side_px, the first at
-        corner_px of the camera's picture. Without a camera all are ranged as if they were on its axis."""
+        corner_px of the camera's picture. Without a camera all are ranged as if they were on its axis.
+
+        outward (rows, cols): of each square, see `depth_sweep.outward`; None: their texture runs in all directions.
+        """
         range_m = np.full(self.reason.shape, np.nan)
         for row, col in np.argwhere(self.accepted):
-            centre_px = middle_px(int(row), int(col), side_px, corner_px)
-            z_m = z_depth(focus, camera, float(self.lens_position[row, col]), centre_px)
+            centre_px, way = middle_px(int(row), int(col), side_px, corner_px), ANY_WAY
+            if outward is not None:
+                way = float(outward[row, col])
+            z_m = z_depth(focus, camera, float(self.lens_position[row, col]), centre_px, way)
             if z_m is not None:  # else sharp at infinity
                 range_m[row, col] = z_m
         return self._replace(range_m=range_m)
@@ -120,12 +136,11 @@ def each_part(of_blocks: NDArray[T], along: int) -> NDArray[T]:
 def grid_peaks(
     lens_positions: Array,
     clarity: Array,
-    area_px: float,
     min_quality: float,
     reach: tuple[int, int] | None = None,
     where: NDArray[np.bool_] | None = None,
 ) -> GridPeaks:
-    """Peaks of the clarity (n, rows, cols) of squares of `area_px` pixels, by the matched filter.
+    """Peaks of the clarity (n, rows, cols) of squares, by the matched filter; sigma is what their residuals leave.
 
     reach: squares (down, across) in the midst of which one must not be too weak, or it shows what its neighbours spill.
     where (rows, cols): the others are passed over, as if they had no texture.
@@ -139,14 +154,43 @@ def grid_peaks(
     reason = np.full(len(curves), Reason.NO_TEXTURE, np.uint8)
     reason[textured] = np.where(clear, Reason.ACCEPTED, np.where(peaks.inside, Reason.POOR_FIT, Reason.BEYOND_SWEEP))
     fields = np.full((4, len(curves)), np.nan)
-    fields[:, textured] = (
-        peaks.lens_position,
-        np.hypot(peaks.sigma, phase_sigma(peaks.width, area_px)),
-        peaks.width,
-        peaks.quality,
-    )
+    fields[:, textured] = peaks.lens_position, peaks.sigma, peaks.width, peaks.quality
     lens_position, sigma, width, quality = fields.reshape(4, *clarity.shape[1:])
     return GridPeaks(lens_position, sigma, width, quality, reason.reshape(clarity.shape[1:]))
+
+
+# --- how sure a peak is ---
+#
+# What a curve leaves unexplained is in part the model's fault: a curve that is broader at its foot than the model, on
+# both sides alike, moves no peak. What moves peaks so slowly that the curve still looks like the model leaves nothing.
+# So residuals only say which squares are surer than others; how sure all of them are is measured on the map. Four
+# squares that meet in a corner cancel any plane, and any bowl along rows and columns: what is left is their noise.
+
+FEWEST_FOURS = 40  # their scatter is known to a tenth
+OUTLIERS = 3.0  # standard deviations, as the median tells them, beyond which four squares count no more
+# Of what residuals say: neighbours share this error. By so much, rms, peaks of curves without noise are off, those of
+# textures under the disc of a lens out of focus, for peaks of 1.5 to 5 steps anywhere in a sweep of 16 to 44.
+COMMON = 0.35
+
+
+def scatter(peaks: GridPeaks) -> float | None:
+    """How many times more neighbours differ than residuals say; None: there are too few of them."""
+    depth, variance = np.where(peaks.accepted, peaks.lens_position, np.nan), peaks.sigma**2
+    twist = depth[1:, 1:] - depth[1:, :-1] - depth[:-1, 1:] + depth[:-1, :-1]
+    known = np.isfinite(twist)
+    expected = (variance[1:, 1:] + variance[1:, :-1] + variance[:-1, 1:] + variance[:-1, :-1])[known]
+    ratio = np.abs(twist[known]) / np.sqrt(expected)
+    if ratio.size < FEWEST_FOURS:
+        return None
+    most = OUTLIERS * float(np.median(ratio)) / 0.6745
+    return math.sqrt(float(np.mean(np.minimum(ratio, most) ** 2)))
+
+
+def as_sure(peaks: GridPeaks, scale: float | None, area_px: float) -> GridPeaks:
+    """The same, sigma (what residuals leave) by their map's `scatter`; None: as of the twin's squares of `area_px`."""
+    if scale is None:
+        return peaks._replace(sigma=np.hypot(peaks.sigma, phase_sigma(peaks.width, area_px)))
+    return peaks._replace(sigma=math.hypot(scale, COMMON) * peaks.sigma)
 
 
 # --- blocks that hold one depth; of the others, parts that do ---
@@ -415,10 +459,15 @@ def box_clarity(images: Sequence[Image], size: Array, box: Box) -> Array:
 
 
 def box_range(
-    lens_positions: Array, clarity: Array, box: Box, focus: FocusFit | None, camera: CameraFit | None = None
+    lens_positions: Array,
+    clarity: Array,
+    box: Box,
+    focus: FocusFit | None,
+    camera: CameraFit | None = None,
+    outward: float = ANY_WAY,
 ) -> BoxRange | NoPeak:
     """Where the clarity (n,) at the lens positions (n,) has its one peak; NoPeak where it has none, or several. The box
-    is one of the camera's picture."""
+    is one of the camera's picture. outward: see `focus.port_share`."""
     if clarity.max() - np.median(clarity) < MIN_RISE:
         return NoPeak("no texture: it is as sharp at every lens position")
     peak = fit_peak(lens_positions.tolist(), clarity.tolist())
@@ -428,12 +477,12 @@ def box_range(
     found = BoxRange(peak.lens_position, sigma, peak.quality)
     if focus is None:
         return found
-    range_m = z_depth(focus, camera, peak.lens_position, box.centre_px)
+    range_m = z_depth(focus, camera, peak.lens_position, box.centre_px, outward)
     if range_m is None:
         return NoPeak(f"the peak at {peak.lens_position:.0f} is sharp beyond all ranges of this calibration")
     share = 1.0
     if camera is not None:
-        focus, share = in_direction(focus, camera, box.centre_px), port_share(camera, box.centre_px)
+        focus, share = in_direction(focus, camera, box.centre_px), port_share(camera, box.centre_px, outward)
     sigma_m = math.sqrt(sum(range_variance(focus, peak.lens_position, sigma))) / share
     return found._replace(range_m=range_m, range_sigma_m=sigma_m)
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from agent.core.config import ConfigError
 from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, at_lens_position
-from agent.core.ranging.focus import MIN_POSITIONS, Array, Method, NoPeak, phase_sigma
+from agent.core.ranging.focus import ANY_WAY, MIN_POSITIONS, Array, Method, NoPeak, phase_sigma
 from agent.core.step_io import BlockPeaks, SweepPlan
 from agent.perception.clarity import Edges, Sums, areas, block_peaks, grid, tenengrad_sums
 from agent.perception.depth_peaks import (
@@ -27,6 +27,7 @@ from agent.perception.depth_peaks import (
     BoxRange,
     GridPeaks,
     Reason,
+    as_sure,
     box_clarity,
     cuts,
     each_part,
@@ -34,6 +35,7 @@ from agent.perception.depth_peaks import (
     in_doubt,
     luminance,
     measure_growth,
+    scatter,
     shown,
     with_edges,
 )
@@ -307,25 +309,39 @@ def measure(
 
     Where the sweep was taken to be split, blocks with two depths are refused, and their parts are measured.
     """
-    x, finer, parts, side = taken.lens_positions, taken.finer, None, 2 * block / cuts(block)
-    blocks = grid_peaks(x, taken.clarity, block * block, min_quality)
+    x, finer, parts, scale, side = taken.lens_positions, taken.finer, None, None, 2 * block / cuts(block)
+    blocks = grid_peaks(x, taken.clarity, min_quality)
     if finer is not None:
         step, along = float(np.ptp(x)) / (len(x) - 1), len(finer.cells[0]) // len(blocks.reason)
-        parts = grid_peaks(x, finer.parts, side * side, min(min_quality, MIN_QUALITY), (3, 3))
+        parts = grid_peaks(x, finer.parts, min(min_quality, MIN_QUALITY), (3, 3))
         asked = each_part(in_doubt(blocks, parts, step), along)
-        cells = grid_peaks(x, finer.cells, side * side / 4, CELL_QUALITY, (5, 5), asked)
-        all_over = shown(x, finer.parts, blocks, parts, step)
-        blocks, parts = with_edges(blocks, parts, cells, finer.parts, step)
+        cells = grid_peaks(x, finer.cells, CELL_QUALITY, (5, 5), asked)
+        unsure = as_sure(parts, None, side * side)  # how sure parts are is known when those on edges are out
+        all_over = shown(x, finer.parts, blocks, unsure, step)
+        blocks, unsure = with_edges(blocks, unsure, cells, finer.parts, step)
         blocks = blocks.refused(blocks.accepted & ~all_over, Reason.NO_TEXTURE)
+        parts = parts._replace(reason=unsure.reason)
+        scale = scatter(parts)
+        parts = as_sure(parts, scale, side * side)
         parts = parts if method == "matched" else parts.by(method, x, finer.parts)
+    own = scatter(blocks)
+    blocks = as_sure(blocks, scale if own is None else own, block * block)
     blocks = blocks if method == "matched" else blocks.by(method, x, taken.clarity)
     if focus is not None:
-        blocks = blocks.ranged(focus, camera, block, taken.corner_px)
-        parts = None if parts is None else parts.ranged(focus, camera, side, taken.corner_px)
+        blocks = blocks.ranged(focus, camera, block, taken.corner_px, _outward_of(taken, camera, block, 1))
+        if parts is not None:
+            way = _outward_of(taken, camera, block, cuts(block) // 2)
+            parts = parts.ranged(focus, camera, side, taken.corner_px, way)
     return DepthMap(block, blocks, parts, taken.sharp, taken.growth, corner_px=taken.corner_px, moved_px=taken.moved_px)
 
 
-# --- one picture that is sharp everywhere, for the eye alone ---
+def _outward_of(taken: DepthSweep, camera: CameraFit | None, block: int, along: int) -> Array | None:
+    """Of along x along parts of each block; None: without a camera nobody knows where the axis is."""
+    rows, cols = (grid(length, block, cuts=along) for length in taken.sharp.shape[:2])
+    return None if camera is None else outward(taken, camera, rows, cols)
+
+
+# --- one picture that is sharp everywhere, for the eye, and for which way its texture runs ---
 
 
 def sharpest(images: Sequence[Image], grids: Sequence[tuple[Edges, Edges]], clarity: Array, reference: int) -> Image:
@@ -345,6 +361,21 @@ def sharpest(images: Sequence[Image], grids: Sequence[tuple[Edges, Edges]], clar
             part = images[best][top : top + place.shape[0], left : left + place.shape[1]]
             place[: part.shape[0], : part.shape[1]] = part
     return picture
+
+
+def outward(taken: DepthSweep, camera: CameraFit, rows: Edges, cols: Edges) -> Array:
+    """Share (rows - 1, cols - 1) of the gradients' energy that points away from the axis, of the squares between these
+    edges in the picture that is sharp everywhere; without gradients 1/2."""
+    grey = luminance(taken.sharp)[: rows[-1], : cols[-1]].astype(np.float32)
+    across, down = cv2.Sobel(grey, cv2.CV_32F, 1, 0), cv2.Sobel(grey, cv2.CV_32F, 0, 1)
+    x = np.arange(cols[-1]) + taken.corner_px[0] - camera.cx_px
+    y = (np.arange(rows[-1]) + taken.corner_px[1] - camera.cy_px)[:, None]
+    away = (across * x + down * y) ** 2 / np.maximum(x * x + y * y, 1.0)
+    energy, part = (
+        np.add.reduceat(np.add.reduceat(each.astype(float), rows[:-1], axis=0), cols[:-1], axis=1)
+        for each in (across * across + down * down, away)
+    )
+    return np.where(energy > 0.0, part / np.maximum(energy, 1.0), ANY_WAY)
 
 
 # --- sweep of a target by a robot in the water ---

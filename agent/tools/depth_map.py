@@ -16,9 +16,10 @@ from numpy.typing import NDArray
 
 from agent.core.config import ConfigError, write_whole, writing
 from agent.core.ranging.camera_model import CameraFit, FocusFit, load_focus
-from agent.core.ranging.focus import FARTHEST_M, Array, NoPeak, at_tilt, h
+from agent.core.ranging.focus import ANY_WAY, FARTHEST_M, Array, NoPeak, at_tilt, h
+from agent.perception.clarity import INNER_BOX
 from agent.perception.depth_peaks import TEXTS, BoxRange, GridPeaks, any_part, as_json, box_range, cuts, each_part
-from agent.perception.depth_sweep import DepthMap, OnStep, measure, sweep
+from agent.perception.depth_sweep import DepthMap, OnStep, measure, outward, sweep
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import parse_box
 from agent.process.command import Failed, new_file, plain_console, with_bar
@@ -306,7 +307,12 @@ def depth_map(
         camera.close()
     result = measure(taken, block, focus, camera=lens)
     if box is not None and taken.box_clarity is not None:
-        found = box_range(taken.lens_positions, taken.box_clarity, box, focus, lens)
+        way = ANY_WAY
+        if lens is not None:
+            x, y, width, height = box.grown(INNER_BOX).moved(-taken.corner_px[0], -taken.corner_px[1])
+            rows, cols = (np.rint([first, first + size]).astype(int) for first, size in ((y, height), (x, width)))
+            way = float(outward(taken, lens, rows, cols)[0, 0])
+        found = box_range(taken.lens_positions, taken.box_clarity, box, focus, lens, way)
         result = result._replace(box_range=found)
     write_csv(result, out.with_suffix(".csv"))
     draw(result, out, box)

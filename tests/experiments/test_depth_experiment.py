@@ -5,7 +5,16 @@ import pytest
 
 from agent.core.ranging.focus import lens_position
 from agent.experiments import depth
-from agent.experiments.still_camera import VIEWS, StillCamera, breathing, facing_wall, sweep_view
+from agent.experiments.still_camera import (
+    VIEWS,
+    StillCamera,
+    breathing,
+    facing_wall,
+    lens_positions,
+    sweep,
+    sweep_view,
+)
+from agent.perception.depth_sweep import clarity_of, measure
 from hw.camera.camera import Roi
 
 
@@ -34,6 +43,20 @@ def test_breathing_is_that_of_the_lens(camera):
     lens = camera.lens
     true = lens.at_position_m(1023) / lens.at_position_m(0) - 1
     assert breathing(camera) == pytest.approx(true, rel=0.08)
+
+
+@pytest.mark.parametrize("u_m", [0.4, 0.9])
+def test_blocks_of_a_wall_differ_by_what_their_sigma_says(camera, u_m):
+    camera.view = facing_wall(u_m)
+    rho, block = np.array(lens_positions(camera), float), 32
+    found = measure(clarity_of(sweep(camera), rho, block, 0.043, split=True), block, None).blocks
+    row, col = np.nonzero(found.accepted)
+    y, x = row / 10.0 - 0.7, col / 10.0 - 1.0
+    bowl = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y, (x * x + y * y) ** 2], axis=1)  # the port's, the lens'
+    peaks, sigma = found.lens_position[found.accepted], found.sigma[found.accepted]
+    best, *_ = np.linalg.lstsq(bowl, peaks, rcond=None)
+    assert len(peaks) > 200
+    assert 0.8 < np.sqrt(np.mean(((peaks - bowl @ best) / sigma) ** 2)) < 1.2
 
 
 @pytest.mark.slow

@@ -5,14 +5,20 @@ import json
 import cv2
 import numpy as np
 import pytest
+from scipy.special import j1
 
 from agent.perception.depth_peaks import (
+    COMMON,
+    FEWEST_FOURS,
     GridPeaks,
     Reason,
+    as_sure,
     cuts,
     enclosed,
+    grid_peaks,
     middle,
     off_plane,
+    scatter,
     shown,
     with_edges,
     with_two_peaks,
@@ -189,3 +195,53 @@ def apart(name, depth_m):
 
 def jumps(depth_m):
     return (np.hypot(*np.gradient(depth_m)) > 0.02 * np.median(depth_m)).any()
+
+
+# --- how sure a peak is ---
+
+
+@pytest.mark.parametrize("times", [0.4, 3.0])
+def test_neighbours_tell_how_sure_peaks_are(times):
+    """Noise `times` as large as residuals say, which differs from square to square, on a plane and on a bowl. A tenth
+    of the squares is wrong."""
+    rng = np.random.default_rng(3)
+    y, x = np.mgrid[:24, :32].astype(float)
+    sigma = rng.uniform(0.05, 0.2, x.shape)
+    for surface in (0.3 * x - 0.2 * y, 0.05 * (x - 15.0) ** 2 + 0.05 * (y - 9.0) ** 2):
+        found = squares(surface + times * sigma * rng.normal(size=x.shape))._replace(sigma=sigma)
+        assert scatter(found) == pytest.approx(times, rel=0.12)
+        wrong = np.where(rng.random(x.shape) < 0.02, 5.0, 0.0)
+        assert times < scatter(found._replace(lens_position=found.lens_position + wrong)) < 1.6 * times
+        surer = as_sure(found, scatter(found), 256.0).sigma
+        assert surer == pytest.approx(sigma * np.hypot(scatter(found), COMMON))
+
+
+def test_where_there_are_few_neighbours_the_twin_tells_how_sure_peaks_are():
+    """By half of a peak's half width, over the square's side; residuals come on top."""
+    rows = int(np.sqrt(FEWEST_FOURS))
+    assert scatter(squares(np.zeros((rows, rows)))) is None
+    lone = squares(np.random.default_rng(1).normal(size=(20, 20)))
+    checked = lone.refused(np.indices((20, 20)).sum(axis=0) % 2 == 0, Reason.NO_TEXTURE)
+    assert scatter(lone) is not None and scatter(checked) is None
+    assert as_sure(lone, None, 16.0**2).sigma == pytest.approx(np.hypot(0.1, 0.5 * 2.0 / 16.0))
+
+
+def blurred(radius_px):
+    """Clarity of white texture, seen by whole pixels, under discs of these radii; 1 where it is sharp."""
+    f = np.linspace(0.002, 0.5, 400)
+    energy = (np.sinc(f) * np.sin(2.0 * np.pi * f)) ** 2 * f
+    a = np.maximum(2.0 * np.pi * np.abs(radius_px)[..., None] * f, 1e-6)
+    return np.sum(energy * (2.0 * j1(a) / a) ** 2, axis=-1) / energy.sum()
+
+
+@pytest.mark.parametrize(("steps", "frames"), [(2.0, 30), (3.0, 16), (3.0, 30), (5.0, 25)])
+def test_a_curve_that_blur_alone_makes_is_off_by_a_part_of_what_its_residuals_say(steps, frames):
+    """steps: of the sweep, in a peak's half width. Neighbours at one depth share this error."""
+    radii = np.linspace(0.0, 5.0, 500)
+    half_px = np.interp(-0.5, -blurred(radii), radii)
+    x, peaks = np.arange(float(frames)), np.random.default_rng(0).uniform(2.0, frames - 3.0, 100)
+    curves = blurred((x[:, None] - peaks) * half_px / steps)
+    found = grid_peaks(x, 1000.0 * (curves[:, None] + 0.03), 0.96)
+    off = ((found.lens_position - peaks) / found.sigma)[found.accepted]
+    assert len(off) > 50
+    assert 0.4 * COMMON < np.sqrt(np.mean(off**2)) < 1.6 * COMMON

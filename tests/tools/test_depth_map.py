@@ -326,6 +326,8 @@ class TestReferenceStacks:
         assert np.sqrt(np.mean(error**2)) <= 0.5
         assert np.median(np.abs(error)) <= 0.36
         assert np.sqrt(np.mean(error**2)) < np.sqrt(np.mean(baseline**2))
+        off = np.abs(error - np.median(error)) * 0.02 / result.blocks.sigma[counted]
+        assert 0.8 < np.mean(off < 2.0) < 0.99  # of peaks hardly wider than a step, whose residuals tell nothing
         beside = ~cv2.dilate(mask.astype(np.uint8), np.ones((101, 101)))[tiles].astype(bool)  # 50 px from the object
         nothing = beside.reshape(rows, block, cols, block).all(axis=(1, 3))
         assert nothing.sum() > 200 and not result.blocks.accepted[nothing].any()

@@ -296,28 +296,30 @@ def _top(x: Array, y: Array, method: Method) -> tuple[Array, Array]:
 #
 # A flat port refracts by angle. Off the axis it makes a point look nearer, and not equally near to both of the pencil's
 # fans: with k = cos a / cos w, a and w the chief ray's angles in air and in water, the sagittal fan is sharp as if at
-# p + (z - p) k / n and the tangential one as if at p + (z - p) k^3 / n. Clarity of texture that runs in all directions
-# peaks between them, at p + K (z - p) / n with K = 2 k^3 / (1 + k^2), and h(rho), which is found on the axis, then
-# reads p + K (z - p). A dome and air have K = 1: there what is left is the lens's own.
+# p + (z - p) k / n and the tangential one as if at p + (z - p) k^3 / n. Clarity peaks between them, at
+# p + K (z - p) / n with K = k^3 / (q + (1 - q) k^2), q the share of the gradients' energy that points away from the
+# axis, 1/2 for texture that runs in all directions. h(rho), which is found on the axis, then reads p + K (z - p). A
+# dome and air have K = 1: there what is left is the lens's own.
 
 WATER_INDEX = 1.333  # sea water's 0.007 more makes 1 mm at 1 m and 24 degrees
 FLAT_PORT = 0.2  # of `bend`, from which on a port is flat and in water: it makes 0.39, a lens's own rarely half of that
 PORT_M = 0.010  # from the pivot to the port: 10 mm more or less make 1 mm at 1 m and 24 degrees
 STEEPEST = 0.95  # of a ray's sine in air
+ANY_WAY = 0.5  # q of texture that runs in all directions
 
 
-def port_share(camera: CameraFit, px: tuple[float, float]) -> float:
-    """K of the direction of a pixel: 1 on the axis, less off it."""
-    return share_at(camera, ray(camera, px)[2])
+def port_share(camera: CameraFit, px: tuple[float, float], outward: float = ANY_WAY) -> float:
+    """K of the direction of a pixel: 1 on the axis, less off it. outward: q of what is seen there."""
+    return share_at(camera, ray(camera, px)[2], outward)
 
 
-def share_at(camera: CameraFit, cos_water: float) -> float:
+def share_at(camera: CameraFit, cos_water: float, outward: float = ANY_WAY) -> float:
     """The same by the cosine of a ray's angle to the axis, in water."""
     if camera.bend < FLAT_PORT:
         return 1.0
     sine2 = min(WATER_INDEX * WATER_INDEX * (1.0 - cos_water * cos_water), STEEPEST * STEEPEST)
     k = math.sqrt((1.0 - sine2) / (1.0 - sine2 / (WATER_INDEX * WATER_INDEX)))
-    return 2.0 * k * k * k / (1.0 + k * k)
+    return k * k * k / (outward + (1.0 - outward) * (k * k))
 
 
 def through_port(u_m: float, share: float) -> float:
