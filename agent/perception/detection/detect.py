@@ -8,7 +8,7 @@ score.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import cv2
@@ -28,7 +28,6 @@ from agent.perception.detection.colour import (
     Light,
     Picture,
     exposed,
-    hue_and_strength,
     weights,
 )
 from agent.perception.detection.outline_cone import (
@@ -38,12 +37,14 @@ from agent.perception.detection.outline_cone import (
     RAYS,
     Array,
     Cone,
+    Edges,
     Lines,
     Patch,
     colour_profile,
     edges,
     lines,
     local_profile,
+    median,
     patch,
 )
 
@@ -61,6 +62,7 @@ PEAKS = 16, 8, 4  # of each octave, the strongest: small things are many
 MIN_CONTRAST = 0.05  # of a peak against its surroundings, logarithm of light
 NOISES = 4.0  # of the picture's own unrest
 NEIGHBOURS = np.ones((7, 7), np.uint8)
+ROUGH = 0.33  # what is farther from a circle than that, rms in radii, is no spot; half a ball behind a stone has 0.2
 SPOTS = 24  # the best are looked at closely
 WITHIN, AT = 0.45, CIRCLE[:: RAYS // 16]  # where a spot's own colour is looked at: of its radius, and directions
 
@@ -79,8 +81,7 @@ def spots(picture: Picture, model: ColourModel) -> list[Spot]:
     if min(height, width) < SMALLEST:
         return []
     small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-    logs = np.asarray(cv2.LUT(small, picture.log_light), np.float32)
-    plane = np.asarray(cv2.transform(logs, weights(model.hue_rad)[None]), np.float32)
+    plane = np.asarray(cv2.transform(cv2.LUT(small, picture.log_light), weights(model.hue_rad)[None]), np.float32)
     found: list[Spot] = []
     octave = 0
     while min(plane.shape) >= SMALLEST:
@@ -90,81 +91,92 @@ def spots(picture: Picture, model: ColourModel) -> list[Spot]:
             found += _largest_first(plane, scale)
         plane = np.asarray(cv2.resize(plane, (plane.shape[1] // 2, plane.shape[0] // 2), interpolation=cv2.INTER_AREA))
         octave += 1
-    return [spot for spot in _different(found) if _shows(logs, spot, model)][:SPOTS]
+    different = _different(found)
+    return [different[k] for k in np.flatnonzero(_show(picture, small, different, model))[:SPOTS]] if found else []
 
 
-def _shows(log_light: Light, spot: Spot, model: ColourModel) -> bool:
-    """Whether a few pixels of the spot have the colour beside a few around it.
+def _show(picture: Picture, small: Image, found: list[Spot], model: ColourModel) -> NDArray[np.bool_]:
+    """(n,) whether a few pixels of each spot have the colour beside a few around it.
 
-    log_light: of the first octave (height, width, 3). Most spots end here, at a tenth of a closer look's cost.
+    small: the first octave (height, width, 3). Most spots end here, at a hundredth of a closer look's cost.
     """
-    u, v, radius = spot.circle
-    last = log_light.shape[0] - 1, log_light.shape[1] - 1
-    medians = []
-    for reach in (WITHIN * radius, radius + max(0.5 * radius, CLEAR_PX + 1.0)):
-        x = np.clip(((u + reach * AT[:, 0]) / FINEST).astype(int), 0, last[1])
-        y = np.clip(((v + reach * AT[:, 1]) / FINEST).astype(int), 0, last[0])
-        medians.append(np.sort(log_light[y, x], axis=0)[len(AT) // 2])
-    hue_rad, strength = hue_and_strength(medians[0] - medians[1])
-    near = model.low_rad - SLACK_RAD < hue_rad < model.high_rad + SLACK_RAD
-    return near and strength > MIN_STRENGTH
+    u, v, radius = np.array([spot.circle for spot in found]).T[..., None, None]
+    reach = np.concatenate([WITHIN * radius, radius + np.maximum(0.5 * radius, CLEAR_PX + 1.0)], axis=1)
+    x = np.clip(((u + reach * AT[:, 0]) / FINEST).astype(int), 0, small.shape[1] - 1)
+    y = np.clip(((v + reach * AT[:, 1]) / FINEST).astype(int), 0, small.shape[0] - 1)
+    medians = np.sort(picture.log_light[small[y, x]], axis=2)[:, :, len(AT) // 2]
+    blue, green, red = (medians[:, 0] - medians[:, 1]).T
+    across, up = red - 0.5 * (green + blue), math.sqrt(0.75) * (green - blue)
+    hue_rad = np.arctan2(up, across)
+    near = (model.low_rad - SLACK_RAD < hue_rad) & (hue_rad < model.high_rad + SLACK_RAD)
+    return np.asarray(near & (np.hypot(across, up) > MIN_STRENGTH))
 
 
 def _octave(plane: Light, scale: tuple[float, float], peaks: int) -> Iterator[Spot]:
     """Spots of one size of picture; `scale`: pixels of the whole one for each of its own, across and down."""
     fine = cv2.GaussianBlur(plane, (5, 5), 1.0)
-    stands_out = cv2.subtract(cv2.GaussianBlur(fine, (7, 7), 1.5), cv2.blur(fine, (25, 25)))
-    noise = float(np.median(np.abs(stands_out[::4, ::4])))
+    stands_out = cv2.GaussianBlur(fine, (7, 7), 1.5)
+    cv2.subtract(stands_out, cv2.blur(fine, (25, 25)), stands_out)
+    noise = median(np.abs(stands_out[::4, ::4]).ravel())
     highest = cv2.dilate(stands_out, NEIGHBOURS)
     at = np.flatnonzero((stands_out >= highest) & (stands_out > max(MIN_CONTRAST, NOISES * noise)))
     strongest = at[np.argsort(stands_out.ravel()[at])[::-1][:peaks]]
-    for place in strongest:
-        v, u = divmod(int(place), plane.shape[1])
+    for place in strongest.tolist():
+        v, u = divmod(place, plane.shape[1])
         top, left = max(v - WINDOW, 0), max(u - WINDOW, 0)
         part = fine[top : v + WINDOW + 1, left : u + WINDOW + 1]
         height = float(fine[v, u])
-        rim = np.sort(np.concatenate([part[0], part[-1], part[:, 0], part[:, -1]]))
+        rim = np.concatenate([part[0], part[-1], part[:, 0], part[:, -1]])
+        rim.sort()
         floor = float(rim[len(rim) // 2])
-        mask = np.asarray(part > 0.5 * (height + floor), np.uint8)
-        cv2.floodFill(mask, None, (u - left, v - top), 2)
-        yield from _outlined((mask == 2).view(np.uint8), (left, top), plane.shape, scale, height - floor)
+        mask = (part > 0.5 * (height + floor)).view(np.uint8)
+        box = cv2.floodFill(mask, None, (u - left, v - top), 2)[3]
+        yield from _outlined(np.asarray(mask), 2, box, (left, top), plane.shape, scale, height - floor)
 
 
 def _largest_first(plane: Light, scale: tuple[float, float]) -> Iterator[Spot]:
     """The largest spot above a threshold for the whole picture: a ball that leaves little around itself."""
-    low, high = float(plane.min()), float(plane.max())
+    low, high, _, _ = cv2.minMaxLoc(plane)
     if high - low < MIN_CONTRAST:
         return
     level = np.asarray((plane - low) * (255.0 / (high - low)), np.uint8)
     _, mask = cv2.threshold(level, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     contours, _ = cv2.findContours(np.asarray(mask), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if contours:
-        spot = np.zeros(plane.shape, np.uint8)
-        cv2.drawContours(spot, [max(contours, key=cv2.contourArea)], -1, 1, cv2.FILLED)
-        yield from _outlined(spot, (0, 0), plane.shape, scale, 0.5 * (high - low))
+        largest = max(contours, key=cv2.contourArea)
+        yield from _fitted(largest[:, 0, :].astype(np.float64), plane.shape, scale, 0.5 * (high - low))
 
 
 def _outlined(
-    spot: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
+    mark: int,
+    box: Sequence[int],
     corner: tuple[int, int],
     shape: tuple[int, ...],
     scale: tuple[float, float],
     contrast: float,
 ) -> Iterator[Spot]:
-    """One spot of a window, if it ends within the window."""
-    left, top = corner
-    right, bottom = left + spot.shape[1], top + spot.shape[0]
-    height, width = shape
-    within = left > 0, top > 0, right < width, bottom < height
-    if any(side and rim.any() for side, rim in zip(within, (spot[:, 0], spot[0], spot[:, -1], spot[-1]), strict=True)):
+    """One spot of a window, what has that mark in a box (x, y, width, height), if it ends within the window."""
+    x, y, width, height = box
+    ends = corner[0] + x, corner[1] + y, corner[0] + x + width, corner[1] + y + height
+    at_rim = x == 0, y == 0, x + width == mask.shape[1], y + height == mask.shape[0]
+    at_border = ends[0] == 0, ends[1] == 0, ends[2] == shape[1], ends[3] == shape[0]
+    if any(rim and not border for rim, border in zip(at_rim, at_border, strict=True)):
         return
-    contours, _ = cv2.findContours(spot, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    points: Array = contours[0][:, 0, :].astype(np.float64) + corner
-    points = points[~((points == 0) | (points == (width - 1, height - 1))).any(axis=1)]
+    spot = (mask[y : y + height, x : x + width] == mark).view(np.uint8)
+    contours, _ = cv2.findContours(spot, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=ends[:2])
+    yield from _fitted(contours[0][:, 0, :].astype(np.float64), shape, scale, contrast)
+
+
+def _fitted(points: Array, shape: tuple[int, ...], scale: tuple[float, float], contrast: float) -> Iterator[Spot]:
+    """The spot with this contour (n, 2), if it is somewhat round."""
+    points = points[((points > 0) & (points < (shape[1] - 1, shape[0] - 1))).all(axis=1)]
     if len(points) < 6:
         return
     points = (points + 0.5) * scale - 0.5
     circle, rough = _circle(points)
+    if rough > ROUGH:
+        return
     # Contours run through the middle of a spot's outer pixels; the spot ends half a pixel farther out.
     middle = np.array(circle[:2])
     growth = 1.0 + 0.5 * scale[0] / circle[2]
@@ -173,14 +185,16 @@ def _outlined(
 
 def _circle(points: Array) -> tuple[tuple[float, float, float], float]:
     """Least squares circle through points: u, v, radius, and the rms distance from it in radii."""
-    middle = points.mean(axis=0)
+    count = len(points)
+    middle = points.sum(axis=0) / count
     x = points - middle
-    terms = np.column_stack([2.0 * x, np.ones(len(x))])
     square = (x * x).sum(axis=1)
-    a, b, c = np.linalg.solve(terms.T @ terms + 1e-6 * np.eye(3), terms.T @ square)
-    radius = math.sqrt(max(c + a * a + b * b, 1e-6))
-    off = np.sqrt((x[:, 0] - a) ** 2 + (x[:, 1] - b) ** 2) - radius
-    return (float(middle[0] + a), float(middle[1] + b), radius), math.sqrt(float(off @ off) / len(off)) / radius
+    (uu, uv), (_, vv) = (4.0 * (x.T @ x) + 1e-6 * np.eye(2)).tolist()
+    u, v = (2.0 * (square @ x)).tolist()
+    a, b = (vv * u - uv * v) / (uu * vv - uv * uv), (uu * v - uv * u) / (uu * vv - uv * uv)
+    radius = math.sqrt(max(float(square.sum()) / count + a * a + b * b, 1e-6))
+    off = np.sqrt(square - 2.0 * (x @ (a, b)) + (a * a + b * b)) - radius
+    return (float(middle[0]) + a, float(middle[1]) + b, radius), math.sqrt(float(off @ off) / count) / radius
 
 
 def _different(found: list[Spot]) -> list[Spot]:
@@ -219,6 +233,7 @@ COLOUR_PX, GAMMA = 0.15, 0.10
 # is used, and it has to be nearly whole, for so few pixels often lie on some circle.
 SMALL_PX, SURE = 12.0, 0.85
 ALIKE = 4.0  # neighbouring rays see the same pixels: so many count as one
+LITTLE = 1e-9 * np.eye(3)
 
 
 class Edge(NamedTuple):
@@ -266,19 +281,24 @@ def look(
     return seen if seen.visible.sum() >= (FIRST_ARC if width_px is None else MIN_ARC) * RAYS else None
 
 
-def both_edges(
+def colour_edge(
     seen: Lines, found: Patch, dark: float, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
-) -> tuple[Edge | None, Edge | None]:
-    """By colour and by lightness.
+) -> Edge | None:
+    """The edge as colour shows it.
 
     `dark`: light without colour; `near`: a cone within a pixel or two; None: any may be right.
     """
-    gain = np.clip(found.ring.mean() / (found.ring + dark), 1.0 / MAX_GAIN, MAX_GAIN)
-    coloured = colour_profile(seen, weights(found.tone.hue_rad) * gain)
-    return (
-        _edge(seen, coloured, True, origin, camera, tolerance_px, near),
-        _edge(seen, local_profile(seen), False, origin, camera, tolerance_px, near),
-    )
+    mean = sum(found.ring) / 3.0
+    gain = [min(max(mean / (light + dark), 1.0 / MAX_GAIN), MAX_GAIN) for light in found.ring]
+    profile = colour_profile(seen, np.asarray(weights(found.tone.hue_rad) * gain, np.float32))
+    return _edge(seen, edges(seen, profile, True), origin, camera, tolerance_px, near)
+
+
+def lightness_edge(
+    seen: Lines, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
+) -> Edge | None:
+    """The edge as lightness shows it; `near` as for colour."""
+    return _edge(seen, edges(seen, local_profile(seen), False), origin, camera, tolerance_px, near)
 
 
 def tolerance_px(radius_px: float, last: bool) -> float:
@@ -318,9 +338,8 @@ def combined(
 
 
 def _edge(
-    seen: Lines, profile: Array, shaded: bool, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
+    seen: Lines, found: Edges, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
 ) -> Edge | None:
-    found = edges(seen, profile, shaded)
     if len(found.points) < (MIN_ARC if near else FIRST_ARC) * RAYS:
         return None
     rays = cones.to_rays(found.points + origin, camera)
@@ -329,22 +348,24 @@ def _edge(
         return None
     misses = cones.misses_px(rays, cone, camera)
     agree = np.abs(misses) < tolerance_px
-    count = int(agree.sum())
+    count = int(np.count_nonzero(agree))
     if count < (0.2 if near else FIRST_ARC) * RAYS:
         return None
-    rms_px = math.sqrt(float((misses[agree] ** 2).mean()))
-    terms = AROUND[found.on][agree]  # of a radius and a shift of the centre
-    variance = np.linalg.inv(terms.T @ terms + 1e-9 * np.eye(3))[0, 0] * ALIKE
-    sigma_px = max(rms_px, 0.05) * math.sqrt(float(variance))
-    on = np.zeros(RAYS, bool)
-    on[np.flatnonzero(found.on)[agree]] = True
-    return Edge(cone, count / int(seen.visible.sum()), rms_px, found.width_px, sigma_px, on)
+    misses = misses[agree]
+    rms_px = math.sqrt(float(misses @ misses) / count)
+    on = found.on.copy()
+    on[on] = agree
+    terms = AROUND[on]  # of a radius and a shift of the centre
+    (n, a, b), (_, aa, ab), (_, _, bb) = (terms.T @ terms + LITTLE).tolist()
+    minor = aa * bb - ab * ab
+    variance = minor / (n * minor - a * (a * bb - ab * b) + b * (a * ab - aa * b)) * ALIKE
+    sigma_px = max(rms_px, 0.05) * math.sqrt(variance)
+    return Edge(cone, count / int(np.count_nonzero(seen.visible)), rms_px, found.width_px, sigma_px, on)
 
 
 # --- the closer look, and the score ---
 
 MIN_RADIUS_PX = 4.0  # below, a handful of pixels looks like anything: 0.07 m at f = 1169 px, beyond 20 m
-ROUGH = 0.33  # a spot farther from a circle than that, rms in radii, is none; half a ball behind a stone has 0.2
 HALF = 0.6  # of disc and of ring have to be of their own colour for the outline to be looked at
 LARGE_PX = 40.0  # larger ones are judged by the part that nothing hides; of smaller ones there is too little
 NEAR_SPOT = 0.15  # radii
@@ -458,8 +479,6 @@ def _ball(
     picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model: ColourModel, by_lamps: bool
 ) -> Ball | None:
     """What a closer look makes of a spot: once over a wide band, once over as narrow a one as the blur allows."""
-    if spot.rough > ROUGH:
-        return None
     cone, width_px, rays = first_guess(spot.points, origin, camera), None, None
     for last in (False, True):
         if cone is None or not MIN_RADIUS_PX * (1.0 if last else 0.6) <= _radius(cone, camera) <= _largest(camera):
@@ -475,7 +494,9 @@ def _ball(
             return None
         near = tolerance_px(_radius(cone, camera), last)
         lead = cone if last and _radius(cone, camera) >= SMALL_PX else None
-        pair = both_edges(seen, found, picture.dark, origin, camera, near, lead)
+        colour = colour_edge(seen, found, picture.dark, origin, camera, near, lead)
+        lightness = lightness_edge(seen, origin, camera, near, lead)
+        pair = colour, lightness
         edge = max((one for one in pair if one), key=lambda one: one.agree, default=None)
         if edge is None:
             return None
@@ -502,9 +523,11 @@ def _ball(
 
 def _near(outline: Array, points: Array) -> NDArray[np.bool_]:
     """Rays of an outline (n, 2) on which the outline of a spot (m, 2) is as well: what hides the others is no ball."""
-    apart = outline[:, None] - points
-    limit_px = NEAR_SPOT * math.sqrt(float(((outline - outline.mean(axis=0)) ** 2).sum()) / len(outline))
-    near: NDArray[np.bool_] = (apart * apart).sum(axis=2).min(axis=1) < limit_px**2
+    middle = outline.mean(axis=0)
+    a, b = outline - middle, points - middle
+    square = (a * a).sum(axis=1)
+    limit = NEAR_SPOT**2 * float(square.mean())
+    near: NDArray[np.bool_] = square + ((b * b).sum(axis=1) - 2.0 * (a @ b.T)).min(axis=1) < limit
     return near
 
 
