@@ -8,8 +8,8 @@ score.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
-from typing import NamedTuple
+from collections.abc import Iterator
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -63,6 +63,7 @@ MIN_CONTRAST = 0.05  # of a peak against its surroundings, logarithm of light
 NOISES = 4.0  # of the picture's own unrest
 NEIGHBOURS = np.ones((7, 7), np.uint8)
 ROUGH = 0.33  # what is farther from a circle than that, rms in radii, is no spot; half a ball behind a stone has 0.2
+STRIP = 64  # rows whose colours are told at once: memory that stays small is not given back and asked for again
 SPOTS = 24  # the best are looked at closely
 WITHIN, AT = 0.45, CIRCLE[:: RAYS // 16]  # where a spot's own colour is looked at: of its radius, and directions
 
@@ -81,7 +82,9 @@ def spots(picture: Picture, model: ColourModel) -> list[Spot]:
     if min(height, width) < SMALLEST:
         return []
     small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-    plane = np.asarray(cv2.transform(cv2.LUT(small, picture.log_light), weights(model.hue_rad)[None]), np.float32)
+    plane, turn = np.empty(small.shape[:2], np.float32), weights(model.hue_rad)[None]
+    for top in range(0, len(plane), STRIP):
+        cv2.transform(cv2.LUT(small[top : top + STRIP], picture.log_light), turn, plane[top : top + STRIP])
     found: list[Spot] = []
     octave = 0
     while min(plane.shape) >= SMALLEST:
@@ -115,10 +118,10 @@ def _show(picture: Picture, small: Image, found: list[Spot], model: ColourModel)
 def _octave(plane: Light, scale: tuple[float, float], peaks: int) -> Iterator[Spot]:
     """Spots of one size of picture; `scale`: pixels of the whole one for each of its own, across and down."""
     fine = cv2.GaussianBlur(plane, (5, 5), 1.0)
-    stands_out = cv2.GaussianBlur(fine, (7, 7), 1.5)
-    cv2.subtract(stands_out, cv2.blur(fine, (25, 25)), stands_out)
+    around, stands_out = cv2.blur(fine, (25, 25)), cv2.GaussianBlur(fine, (7, 7), 1.5)
+    cv2.subtract(stands_out, around, stands_out)
     noise = median(np.abs(stands_out[::4, ::4]).ravel())
-    highest = cv2.dilate(stands_out, NEIGHBOURS)
+    highest = cv2.dilate(stands_out, NEIGHBOURS, around)
     at = np.flatnonzero((stands_out >= highest) & (stands_out > max(MIN_CONTRAST, NOISES * noise)))
     strongest = at[np.argsort(stands_out.ravel()[at])[::-1][:peaks]]
     for place in strongest.tolist():
@@ -129,9 +132,24 @@ def _octave(plane: Light, scale: tuple[float, float], peaks: int) -> Iterator[Sp
         rim = np.concatenate([part[0], part[-1], part[:, 0], part[:, -1]])
         rim.sort()
         floor = float(rim[len(rim) // 2])
-        mask = (part > 0.5 * (height + floor)).view(np.uint8)
-        box = cv2.floodFill(mask, None, (u - left, v - top), 2)[3]
-        yield from _outlined(np.asarray(mask), 2, box, (left, top), plane.shape, scale, height - floor)
+        bright = part > 0.5 * (height + floor)
+        rows, columns = part.shape
+        at_left, at_top = left == 0, top == 0
+        at_right, at_bottom = left + columns == plane.shape[1], top + rows == plane.shape[0]
+        row, column = bright[v - top], bright[:, u - left]
+        if (not at_right and row[u - left :].all()) or (not at_left and row[: u - left].all()):
+            continue  # straight aside it leaves the window
+        if (not at_bottom and column[v - top :].all()) or (not at_top and column[: v - top].all()):
+            continue
+        mask = bright.view(np.uint8)
+        x, y, across, down = cv2.floodFill(mask, None, (u - left, v - top), 2)[3]
+        if not ((x or at_left) and (y or at_top)):
+            continue
+        if not ((x + across < columns or at_right) and (y + down < rows or at_bottom)):
+            continue  # it does not end within the window
+        spot = (mask[y : y + down, x : x + across] == 2).view(np.uint8)
+        contours, _ = cv2.findContours(spot, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=(left + x, top + y))
+        yield from _fitted(contours[0], plane.shape, scale, height - floor)
 
 
 def _largest_first(plane: Light, scale: tuple[float, float]) -> Iterator[Spot]:
@@ -143,33 +161,14 @@ def _largest_first(plane: Light, scale: tuple[float, float]) -> Iterator[Spot]:
     _, mask = cv2.threshold(level, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     contours, _ = cv2.findContours(np.asarray(mask), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if contours:
-        largest = max(contours, key=cv2.contourArea)
-        yield from _fitted(largest[:, 0, :].astype(np.float64), plane.shape, scale, 0.5 * (high - low))
+        yield from _fitted(max(contours, key=cv2.contourArea), plane.shape, scale, 0.5 * (high - low))
 
 
-def _outlined(
-    mask: NDArray[np.uint8],
-    mark: int,
-    box: Sequence[int],
-    corner: tuple[int, int],
-    shape: tuple[int, ...],
-    scale: tuple[float, float],
-    contrast: float,
-) -> Iterator[Spot]:
-    """One spot of a window, what has that mark in a box (x, y, width, height), if it ends within the window."""
-    x, y, width, height = box
-    ends = corner[0] + x, corner[1] + y, corner[0] + x + width, corner[1] + y + height
-    at_rim = x == 0, y == 0, x + width == mask.shape[1], y + height == mask.shape[0]
-    at_border = ends[0] == 0, ends[1] == 0, ends[2] == shape[1], ends[3] == shape[0]
-    if any(rim and not border for rim, border in zip(at_rim, at_border, strict=True)):
+def _fitted(contour: NDArray[Any], shape: tuple[int, ...], scale: tuple[float, float], contrast: float) -> Iterator[Spot]:
+    """The spot with this contour (n, 1, 2), if it is somewhat round."""
+    if len(contour) < 6:
         return
-    spot = (mask[y : y + height, x : x + width] == mark).view(np.uint8)
-    contours, _ = cv2.findContours(spot, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=ends[:2])
-    yield from _fitted(contours[0][:, 0, :].astype(np.float64), shape, scale, contrast)
-
-
-def _fitted(points: Array, shape: tuple[int, ...], scale: tuple[float, float], contrast: float) -> Iterator[Spot]:
-    """The spot with this contour (n, 2), if it is somewhat round."""
+    points = contour[:, 0, :]
     points = points[((points > 0) & (points < (shape[1] - 1, shape[0] - 1))).all(axis=1)]
     if len(points) < 6:
         return
@@ -189,11 +188,14 @@ def _circle(points: Array) -> tuple[tuple[float, float, float], float]:
     middle = points.sum(axis=0) / count
     x = points - middle
     square = (x * x).sum(axis=1)
-    (uu, uv), (_, vv) = (4.0 * (x.T @ x) + 1e-6 * np.eye(2)).tolist()
-    u, v = (2.0 * (square @ x)).tolist()
-    a, b = (vv * u - uv * v) / (uu * vv - uv * uv), (uu * v - uv * u) / (uu * vv - uv * uv)
-    radius = math.sqrt(max(float(square.sum()) / count + a * a + b * b, 1e-6))
-    off = np.sqrt(square - 2.0 * (x @ (a, b)) + (a * a + b * b)) - radius
+    (uu, uv), (_, vv) = (x.T @ x).tolist()
+    uu, vv = uu + 1e-6, vv + 1e-6  # all points in a row
+    u, v = (square @ x).tolist()
+    twice = 2.0 * (uu * vv - uv * uv)
+    a, b = (vv * u - uv * v) / twice, (uu * v - uv * u) / twice
+    from_middle = a * a + b * b
+    radius = math.sqrt(max(float(square.sum()) / count + from_middle, 1e-6))
+    off = np.sqrt(np.maximum(square - 2.0 * (x @ (a, b)) + from_middle, 0.0)) - radius
     return (float(middle[0]) + a, float(middle[1]) + b, radius), math.sqrt(float(off @ off) / count) / radius
 
 
@@ -232,6 +234,8 @@ COLOUR_PX, GAMMA = 0.15, 0.10
 # JPEG halves the resolution of colour: of a small ball lightness knows the outline better. Where it has one, that alone
 # is used, and it has to be nearly whole, for so few pixels often lie on some circle.
 SMALL_PX, SURE = 12.0, 0.85
+PLAIN = 0.95  # of a larger one: share of agreeing edges by colour from which on a first look asks no more
+SCATTER = 0.07  # of its radius, rms: edges that scatter more are no SURE share of them within TIGHT, if as a bell
 ALIKE = 4.0  # neighbouring rays see the same pixels: so many count as one
 LITTLE = 1e-9 * np.eye(3)
 
@@ -421,8 +425,15 @@ def find_ball(
     `origin_px` is where the image's upper left pixel lies in the full frame. A ball that overflows the frame is
     found while the frame shows 120 deg of its outline. limit: least score. by_lamps: no other light than robots' lamps.
     """
-    balls = find_balls(image, camera, origin_px, colour, limit, by_lamps)
-    return balls[0] if balls else None
+    model = NAMED[colour] if isinstance(colour, str) else colour
+    origin, picture, best = np.asarray(origin_px, float), exposed(image), None
+    for spot in spots(picture, model):
+        ball = _ball(picture, spot, camera, origin, model, by_lamps, best.score if best else limit)
+        if ball and (ball.score > best.score if best else ball.score >= limit):
+            best = ball
+        if best and best.score == 1.0:
+            break
+    return best
 
 
 def find_balls(
@@ -437,7 +448,7 @@ def find_balls(
     model = NAMED[colour] if isinstance(colour, str) else colour
     origin = np.asarray(origin_px, float)
     picture = exposed(image)
-    candidates = (_ball(picture, spot, camera, origin, model, by_lamps) for spot in spots(picture, model))
+    candidates = (_ball(picture, spot, camera, origin, model, by_lamps, limit) for spot in spots(picture, model))
     sure = [ball for ball in candidates if ball is not None and ball.score >= limit]
     balls: list[Ball] = []
     for ball in sorted(sure, key=lambda one: one.score, reverse=True):
@@ -458,7 +469,7 @@ def score(found: Patch, fit: OutlineFit, rare: float = 0.0, by_lamps: bool = Fal
     radius_px = fit.radius_px
     arc_px = max(fit.visible * 2.0 * math.pi * radius_px, 1.0)
     glows = found.tone.burnt > GLARE
-    roomy = min(1.0, max(ROOMY_PX / radius_px, GLOWING if glows else 0.0))
+    roomy = _roomy(found, radius_px)
     sharp_px = min(SHARP_PX + SHARP * radius_px, BLUR_PX) * (GLOW if glows else 1.0)
     if by_lamps:
         sharp_px += LIMB * radius_px
@@ -466,46 +477,75 @@ def score(found: Patch, fit: OutlineFit, rare: float = 0.0, by_lamps: bool = Fal
     doubt = (
         MISSING * (1.0 - fit.agree) * (SURER if small else roomy)
         + UNEVEN * max(fit.rms_px - PIXEL_PX, 0.0) / radius_px
-        + STRAY * (1.0 - found.clear + 0.5 * (1.0 - found.full)) * (BLURRED if small else 1.0)
         + HIDDEN * max(WHOLE - fit.visible, 0.0) * min(1.0, ARC_PX / arc_px)
-        + DARK * max(found.dark - SHADE, 0.0)
-        + UNREST * max(min(found.unrest, 1.0) - CALM, 0.0) * (BLURRED if small else roomy)
         + SOFT * max(fit.width_px - sharp_px, 0.0) / min(radius_px, SOFT_PX)
+        + patch_doubt(found, radius_px, by_lamps)
     )
     return math.exp(-max(doubt - rare, 0.0))
 
 
+def patch_doubt(found: Patch, radius_px: float, by_lamps: bool) -> float:
+    """What of a candidate's doubt its disc and ring alone make: see score()."""
+    small = radius_px < SMALL_PX and not by_lamps
+    return (
+        STRAY * (1.0 - found.clear + 0.5 * (1.0 - found.full)) * (BLURRED if small else 1.0)
+        + DARK * max(found.dark - SHADE, 0.0)
+        + UNREST * max(min(found.unrest, 1.0) - CALM, 0.0) * (BLURRED if small else _roomy(found, radius_px))
+    )
+
+
+def _roomy(found: Patch, radius_px: float) -> float:
+    """How much a gap in the outline and what lies on the disc count."""
+    return min(1.0, max(ROOMY_PX / radius_px, GLOWING if found.tone.burnt > GLARE else 0.0))
+
+
 def _ball(
-    picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model: ColourModel, by_lamps: bool
+    picture: Picture,
+    spot: Spot,
+    camera: CameraFit,
+    origin: Array,
+    model: ColourModel,
+    by_lamps: bool,
+    least: float,
 ) -> Ball | None:
-    """What a closer look makes of a spot: once over a wide band, once over as narrow a one as the blur allows."""
-    cone, width_px, rays = first_guess(spot.points, origin, camera), None, None
+    """What a closer look makes of a spot: once over a wide band, once over as narrow a one as the blur allows.
+
+    least: score. What cannot reach it by its disc and ring alone gets no closer look.
+    """
+    cone, width_px, rays, found = first_guess(spot.points, origin, camera), None, None, None
+    allowed = model.rare - math.log(least) if least > 0.0 else math.inf
     for last in (False, True):
         if cone is None or not MIN_RADIUS_PX * (1.0 if last else 0.6) <= _radius(cone, camera) <= _largest(camera):
             return None
+        radius_px = _radius(cone, camera)
         outline, centre = cones.outline(cone, camera) - origin, cones.project(cone.axis, camera) - origin
-        if _radius(cone, camera) > LARGE_PX:
+        if radius_px > LARGE_PX:
             rays = _near(outline, spot.points) if rays is None else rays
-        found = patch(picture, outline, centre, rays)
-        if found is None or not _worth_a_look(found, model):
-            return None
-        seen = look(picture, outline, centre, _radius(cone, camera), camera, width_px)
+        if not last or rays is None:  # of what something may hide, disc and ring are looked at again in the end
+            found = patch(picture, outline, centre, rays)
+            if found is None or not _worth_a_look(found, model, 0.0 if last else SLACK_RAD):
+                return None
+            if patch_doubt(found, radius_px, by_lamps) > allowed:
+                return None
+        seen = look(picture, outline, centre, radius_px, camera, width_px)
         if seen is None:
             return None
-        near = tolerance_px(_radius(cone, camera), last)
-        lead = cone if last and _radius(cone, camera) >= SMALL_PX else None
+        near = tolerance_px(radius_px, last)
+        lead = cone if last and radius_px >= SMALL_PX else None
         colour = colour_edge(seen, found, picture.dark, origin, camera, near, lead)
-        lightness = lightness_edge(seen, origin, camera, near, lead)
-        pair = colour, lightness
-        edge = max((one for one in pair if one), key=lambda one: one.agree, default=None)
+        plain = not last and radius_px >= SMALL_PX and colour is not None and colour.agree >= PLAIN
+        lightness = None if plain else lightness_edge(seen, origin, camera, near, lead)
+        edge = max((one for one in (colour, lightness) if one), key=lambda one: one.agree, default=None)
         if edge is None:
             return None
         cone, width_px = edge.cone, edge.width_px
-        if _radius(cone, camera) < SMALL_PX and edge.agree < SURE and not by_lamps:
-            return None
-        rays = (pair[0] or edge).rays if rays is not None else None  # colour leads through what stands in front
+        if _radius(cone, camera) < SMALL_PX and not by_lamps:
+            rms_px = min(one.rms_px for one in (colour, lightness) if one)
+            if edge.agree < SURE or rms_px > SCATTER * _radius(cone, camera):
+                return None
+        rays = (colour or edge).rays if rays is not None else None  # colour leads through what stands in front
     assert seen is not None and found is not None  # the loop has seen to it
-    fit = combined(*pair, found.tone.burnt >= BURNT, float(seen.visible.mean()), camera)
+    fit = combined(colour, lightness, found.tone.burnt >= BURNT, float(seen.visible.mean()), camera)
     if fit is None or not MIN_RADIUS_PX <= fit.radius_px <= _largest(camera):
         return None
     cut_off = fit.radius_px < SMALL_PX and fit.visible < 1.0
@@ -531,10 +571,10 @@ def _near(outline: Array, points: Array) -> NDArray[np.bool_]:
     return near
 
 
-def _worth_a_look(found: Patch, model: ColourModel) -> bool:
-    """Whether there may be a ball, while its outline is not known well."""
+def _worth_a_look(found: Patch, model: ColourModel, slack_rad: float) -> bool:
+    """Whether there may be a ball; `slack_rad`: where its outline is not known well yet."""
     plain = found.tone.strength >= MIN_STRENGTH and found.bright < RIM and min(found.full, found.clear) >= HALF
-    return plain and model.fits(found.tone, SLACK_RAD)
+    return plain and model.fits(found.tone, slack_rad)
 
 
 def _is(found: Patch, radius_px: float, model: ColourModel) -> bool:

@@ -309,7 +309,7 @@ def patch(picture: Picture, outline: Array, centre: Array, rays: NDArray[np.bool
     burnt, coloured = 0.0, disc
     if disc.max() >= picture.white:
         white = (disc >= picture.white).sum(axis=1) >= 2
-        burnt = np.count_nonzero(white) / len(white)
+        burnt = int(np.count_nonzero(white)) / len(white)
         if burnt >= BURNT:
             coloured = disc[np.argsort(disc.min(axis=1), kind="stable")[: max(len(disc) // 5, 1)]]
             if burnt < 1.0:
@@ -334,8 +334,8 @@ def _compared(own: list[float], disc: Pixels, ring: Pixels, burnt: float, pictur
         tone=tone,
         dark=-max(more),
         bright=min(more),
-        full=np.count_nonzero(inner > level) / len(inner),
-        clear=np.count_nonzero(outer < level) / len(outer),
+        full=int(np.count_nonzero(inner > level)) / len(inner),
+        clear=int(np.count_nonzero(outer < level)) / len(outer),
         unrest=scatter / max(tone.strength, 1e-6),
     )
 
