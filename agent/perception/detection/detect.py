@@ -235,7 +235,7 @@ COLOUR_PX, GAMMA = 0.15, 0.10
 # is used, and it has to be nearly whole, for so few pixels often lie on some circle.
 SMALL_PX, SURE = 12.0, 0.85
 PLAIN = 0.95  # of a larger one: share of agreeing edges by colour from which on a first look asks no more
-SCATTER = 0.07  # of its radius, rms: edges that scatter more are no SURE share of them within TIGHT, if as a bell
+SCATTER = 0.08  # of its radius: where edges scatter more, rms, too few of them will be on any circle
 ALIKE = 4.0  # neighbouring rays see the same pixels: so many count as one
 LITTLE = 1e-9 * np.eye(3)
 
@@ -532,17 +532,20 @@ def _ball(
             return None
         near = tolerance_px(radius_px, last)
         lead = cone if last and radius_px >= SMALL_PX else None
+        small, lightness = radius_px < SMALL_PX and not by_lamps, None
+        if small or last:
+            lightness = lightness_edge(seen, origin, camera, near, lead)
+            if small and not last and not _sure(lightness, camera):
+                return None
         colour = colour_edge(seen, found, picture.dark, origin, camera, near, lead)
-        plain = not last and radius_px >= SMALL_PX and colour is not None and colour.agree >= PLAIN
-        lightness = None if plain else lightness_edge(seen, origin, camera, near, lead)
+        if not (small or last or (colour and colour.agree >= PLAIN)):
+            lightness = lightness_edge(seen, origin, camera, near, lead)
         edge = max((one for one in (colour, lightness) if one), key=lambda one: one.agree, default=None)
         if edge is None:
             return None
         cone, width_px = edge.cone, edge.width_px
-        if _radius(cone, camera) < SMALL_PX and not by_lamps:
-            rms_px = min(one.rms_px for one in (colour, lightness) if one)
-            if edge.agree < SURE or rms_px > SCATTER * _radius(cone, camera):
-                return None
+        if _radius(cone, camera) < SMALL_PX and edge.agree < SURE and not by_lamps:
+            return None
         rays = (colour or edge).rays if rays is not None else None  # colour leads through what stands in front
     assert seen is not None and found is not None  # the loop has seen to it
     fit = combined(colour, lightness, found.tone.burnt >= BURNT, float(seen.visible.mean()), camera)
@@ -559,6 +562,11 @@ def _ball(
     return Ball(
         (float(u), float(v)), float(fit.radius_px), score(found, fit, model.rare, by_lamps), float(fit.sigma_px)
     )
+
+
+def _sure(edge: Edge | None, camera: CameraFit) -> bool:
+    """Whether a first look's edge of a small ball may come out as one."""
+    return edge is not None and edge.agree >= SURE and edge.rms_px <= SCATTER * _radius(edge.cone, camera)
 
 
 def _near(outline: Array, points: Array) -> NDArray[np.bool_]:
