@@ -68,6 +68,14 @@ SPOTS = 24  # the best are looked at closely
 WITHIN, AT = 0.45, CIRCLE[:: RAYS // 16]  # where a spot's own colour is looked at: of its radius, and directions
 
 
+class Outlined(NamedTuple):
+    """What may be a spot."""
+
+    points: Array  # (n, 2) pixels of the picture, on the middle of its outer pixels, without those on the border
+    contrast: float
+    half_px: float  # half an octave's pixel: so much farther out it ends
+
+
 class Spot(NamedTuple):
     points: Array  # (n, 2) pixels of the picture, on its outline, without those on the picture's own border
     contrast: float
@@ -85,17 +93,17 @@ def spots(picture: Picture, model: ColourModel) -> list[Spot]:
     plane, turn = np.empty(small.shape[:2], np.float32), weights(model.hue_rad)[None]
     for top in range(0, len(plane), STRIP):
         cv2.transform(cv2.LUT(small[top : top + STRIP], picture.log_light), turn, plane[top : top + STRIP])
-    found: list[Spot] = []
+    found: list[Outlined] = []
     octave = 0
     while min(plane.shape) >= SMALLEST:
         scale = image.shape[1] / plane.shape[1], image.shape[0] / plane.shape[0]
-        found += (one for one in _octave(plane, scale, PEAKS[min(octave, len(PEAKS) - 1)]))
+        found += _octave(plane, scale, PEAKS[min(octave, len(PEAKS) - 1)])
         if octave == 1:
             found += _largest_first(plane, scale)
         plane = np.asarray(cv2.resize(plane, (plane.shape[1] // 2, plane.shape[0] // 2), interpolation=cv2.INTER_AREA))
         octave += 1
-    different = _different(found)
-    return [different[k] for k in np.flatnonzero(_show(picture, small, different, model))[:SPOTS]] if found else []
+    different = _different(_round(found)) if found else []
+    return [different[k] for k in np.flatnonzero(_show(picture, small, different, model))[:SPOTS]] if different else []
 
 
 def _show(picture: Picture, small: Image, found: list[Spot], model: ColourModel) -> NDArray[np.bool_]:
@@ -115,8 +123,8 @@ def _show(picture: Picture, small: Image, found: list[Spot], model: ColourModel)
     return np.asarray(near & (np.hypot(across, up) > MIN_STRENGTH))
 
 
-def _octave(plane: Light, scale: tuple[float, float], peaks: int) -> Iterator[Spot]:
-    """Spots of one size of picture; `scale`: pixels of the whole one for each of its own, across and down."""
+def _octave(plane: Light, scale: tuple[float, float], peaks: int) -> Iterator[Outlined]:
+    """What stands out in one size of picture; `scale`: pixels of the whole one for each of its own, across and down."""
     fine = cv2.GaussianBlur(plane, (5, 5), 1.0)
     around, stands_out = cv2.blur(fine, (25, 25)), cv2.GaussianBlur(fine, (7, 7), 1.5)
     cv2.subtract(stands_out, around, stands_out)
@@ -149,10 +157,10 @@ def _octave(plane: Light, scale: tuple[float, float], peaks: int) -> Iterator[Sp
             continue  # it does not end within the window
         spot = (mask[y : y + down, x : x + across] == 2).view(np.uint8)
         contours, _ = cv2.findContours(spot, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=(left + x, top + y))
-        yield from _fitted(contours[0], plane.shape, scale, height - floor)
+        yield from _outlined(contours[0], plane.shape, scale, height - floor)
 
 
-def _largest_first(plane: Light, scale: tuple[float, float]) -> Iterator[Spot]:
+def _largest_first(plane: Light, scale: tuple[float, float]) -> Iterator[Outlined]:
     """The largest spot above a threshold for the whole picture: a ball that leaves little around itself."""
     low, high, _, _ = cv2.minMaxLoc(plane)
     if high - low < MIN_CONTRAST:
@@ -161,42 +169,43 @@ def _largest_first(plane: Light, scale: tuple[float, float]) -> Iterator[Spot]:
     _, mask = cv2.threshold(level, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     contours, _ = cv2.findContours(np.asarray(mask), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if contours:
-        yield from _fitted(max(contours, key=cv2.contourArea), plane.shape, scale, 0.5 * (high - low))
+        yield from _outlined(max(contours, key=cv2.contourArea), plane.shape, scale, 0.5 * (high - low))
 
 
-def _fitted(contour: NDArray[Any], shape: tuple[int, ...], scale: tuple[float, float], contrast: float) -> Iterator[Spot]:
-    """The spot with this contour (n, 1, 2), if it is somewhat round."""
-    if len(contour) < 6:
-        return
+def _outlined(
+    contour: NDArray[Any], shape: tuple[int, ...], scale: tuple[float, float], contrast: float
+) -> Iterator[Outlined]:
+    """By a contour (n, 1, 2) in an octave of this shape, if enough of it lies within the picture."""
     points = contour[:, 0, :]
     points = points[((points > 0) & (points < (shape[1] - 1, shape[0] - 1))).all(axis=1)]
-    if len(points) < 6:
-        return
-    points = (points + 0.5) * scale - 0.5
-    circle, rough = _circle(points)
-    if rough > ROUGH:
-        return
+    if len(points) >= 6:
+        yield Outlined((points + 0.5) * scale - 0.5, contrast, 0.5 * scale[0])
+
+
+def _round(found: list[Outlined]) -> list[Spot]:
+    """Those of at least one that are somewhat round, by least squares circles, all at once."""
+    points, count = np.concatenate([one.points for one in found]), np.array([len(one.points) for one in found])
+    first, which = np.cumsum(count) - count, np.repeat(np.arange(len(found)), count)
+    middle = np.add.reduceat(points, first) / count[:, None]
+    x, y = (points - middle[which]).T
+    square = x * x + y * y
+    terms = np.array([x * x, x * y, y * y, x * square, y * square, square])
+    xx, xy, yy, xs, ys, squares = np.add.reduceat(terms, first, axis=1)
+    xx, yy = xx + 1e-6, yy + 1e-6  # all in a row
+    twice = 2.0 * (xx * yy - xy * xy)
+    a, b = (yy * xs - xy * ys) / twice, (xx * ys - xy * xs) / twice
+    radius = np.sqrt(np.maximum(squares / count + a * a + b * b, 1e-6))
+    off = np.hypot(x - a[which], y - b[which]) - radius[which]
+    rough = np.sqrt(np.add.reduceat(off * off, first) / count) / radius
+    centre = middle + np.column_stack([a, b])
     # Contours run through the middle of a spot's outer pixels; the spot ends half a pixel farther out.
-    middle = np.array(circle[:2])
-    growth = 1.0 + 0.5 * scale[0] / circle[2]
-    yield Spot(middle + growth * (points - middle), contrast, rough, (*circle[:2], growth * circle[2]))
-
-
-def _circle(points: Array) -> tuple[tuple[float, float, float], float]:
-    """Least squares circle through points: u, v, radius, and the rms distance from it in radii."""
-    count = len(points)
-    middle = points.sum(axis=0) / count
-    x = points - middle
-    square = (x * x).sum(axis=1)
-    (uu, uv), (_, vv) = (x.T @ x).tolist()
-    uu, vv = uu + 1e-6, vv + 1e-6  # all points in a row
-    u, v = (square @ x).tolist()
-    twice = 2.0 * (uu * vv - uv * uv)
-    a, b = (vv * u - uv * v) / twice, (uu * v - uv * u) / twice
-    from_middle = a * a + b * b
-    radius = math.sqrt(max(float(square.sum()) / count + from_middle, 1e-6))
-    off = np.sqrt(np.maximum(square - 2.0 * (x @ (a, b)) + from_middle, 0.0)) - radius
-    return (float(middle[0]) + a, float(middle[1]) + b, radius), math.sqrt(float(off @ off) / count) / radius
+    growth = 1.0 + np.array([one.half_px for one in found]) / radius
+    points = centre[which] + growth[which, None] * (points - centre[which])
+    circles = np.column_stack([centre, growth * radius]).tolist()
+    return [
+        Spot(points[first[k] : first[k] + count[k]], found[k].contrast, float(rough[k]), tuple(circles[k]))
+        for k in np.flatnonzero(rough <= ROUGH)
+    ]
 
 
 def _different(found: list[Spot]) -> list[Spot]:
