@@ -31,21 +31,25 @@ from agent.perception.detection.colour import (
     weights,
 )
 from agent.perception.detection.outline_cone import (
-    AROUND,
     CIRCLE,
     CLEAR_PX,
+    PLAIN,
     RAYS,
+    SMALL_PX,
+    SURE,
     Array,
     Cone,
-    Edges,
-    Lines,
+    OutlineFit,
     Patch,
-    colour_profile,
-    edges,
-    lines,
-    local_profile,
+    colour_edge,
+    combined,
+    first_guess,
+    lightness_edge,
+    look,
+    may_be_small,
     median,
     patch,
+    tolerance_px,
 )
 
 # --- spots that have more of a colour's hue than what is around them ---
@@ -89,9 +93,10 @@ def spots(picture: Picture, model: ColourModel) -> list[Spot]:
     height, width = image.shape[0] // FINEST, image.shape[1] // FINEST
     if min(height, width) < SMALLEST:
         return []
-    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-    plane, turn = np.empty(small.shape[:2], np.float32), weights(model.hue_rad)[None]
-    for top in range(0, len(plane), STRIP):
+    small = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    plane: Light = np.empty((height, width), np.float32)
+    turn = weights(model.hue_rad)[None]
+    for top in range(0, height, STRIP):
         cv2.transform(cv2.LUT(small[top : top + STRIP], picture.log_light), turn, plane[top : top + STRIP])
     found: list[Outlined] = []
     octave = 0
@@ -216,164 +221,6 @@ def _different(found: list[Spot]) -> list[Spot]:
         if not any(max(math.hypot(u - a, v - b), abs(r - c)) < 0.3 * c for a, b, c in (one.circle for one in kept)):
             kept.append(spot)
     return kept
-
-
-# --- the outline around a spot ---
-#
-# It is a cone through the edge as colour shows it, and one through the edge as lightness does. Neither is right
-# everywhere. Colour leads through shadow and texture, but JPEG blurs it and the sun burns it out; lightness is sharp,
-# but what a camera makes of light moves the edge of a blurred thing. Each counts for as much as it is determined, and
-# where they disagree the radius is the less certain.
-
-BAND = 0.30  # the outline is looked for within this share of the radius inside and outside the first guess,
-BAND_FRAME = 0.05  # and within this share of the frame's width: twice the largest blur's radius;
-LEAST_PX = 4.0  # but so far at least: a camera's own blur and JPEG reach 2 px from an edge
-# The second look reaches so many widths of the edge (a quarter to three quarters of its height), so that the levels
-# inside and outside are taken beyond the blur, but not where the ball is shaded otherwise than at its rim.
-WIDTHS, BEYOND_PX = 2.5, 1.5
-INWARD, OUTWARD = 0.65, 1.2  # of the radius, at most: of a small ball there is not more
-MIN_ARC = 0.28  # share of the whole outline: what is left of 120 deg where it runs into the edge of the frame
-FIRST_ARC = 0.18  # of a first look, whose wide band loses more lines at that edge
-LOOSE_PX, LOOSE = 2.0, 0.04  # an edge agrees with the cone within so many pixels, or this share of the radius:
-TIGHT = 0.1  # of small ones never more than this, or anything would be round
-MAX_GAIN = 2.5  # a plane weaker than that holds noise, not colour
-# Radius errors that the scatter of the edges does not show. Colour: the blocks of JPEG, the twin's texture at the rim;
-# lightness: share of the edge's width by which a camera's gamma moves it (rms 0.1 on the twin's defocused frames).
-COLOUR_PX, GAMMA = 0.15, 0.10
-# JPEG halves the resolution of colour: of a small ball lightness knows the outline better. Where it has one, that alone
-# is used, and it has to be nearly whole, for so few pixels often lie on some circle.
-SMALL_PX, SURE = 12.0, 0.85
-PLAIN = 0.95  # of a larger one: share of agreeing edges by colour from which on a first look asks no more
-SCATTER = 0.08  # of its radius: where edges scatter more, rms, too few of them will be on any circle
-ALIKE = 4.0  # neighbouring rays see the same pixels: so many count as one
-LITTLE = 1e-9 * np.eye(3)
-
-
-class Edge(NamedTuple):
-    """A cone through one profile's edges."""
-
-    cone: Cone
-    agree: float  # share of the visible rays whose edge is on it
-    rms_px: float  # of these
-    width_px: float  # of the edge
-    sigma_px: float  # of the radius, from scatter and arc
-    rays: NDArray[np.bool_]  # (RAYS,) those that agree
-
-
-class OutlineFit(NamedTuple):
-    """Both edges together."""
-
-    axis: Array  # (3,) of the ray to the centre
-    radius_px: float  # apparent angular radius times f_px
-    sigma_px: float  # its standard deviation
-    agree: float  # share of the visible rays, the mean of both
-    rms_px: float
-    width_px: float  # of the wider of both edges
-    visible: float  # share of all rays
-    rays: NDArray[np.bool_]  # (RAYS,) on which colour has its edge
-
-
-def first_guess(points: Array, origin: Array, camera: CameraFit) -> Cone | None:
-    """A cone through the outline of a spot (n, 2)."""
-    tolerance_px = max(LOOSE_PX, 0.2 * math.sqrt(len(points)))
-    return cones.consensus(cones.to_rays(points + origin, camera), camera, tolerance_px)
-
-
-def look(
-    picture: Picture, outline: Array, centre: Array, radius: float, camera: CameraFit, width_px: float | None
-) -> Lines | None:
-    """Lines across a predicted outline (RAYS, 2) of this radius, pixels; `width_px`: of the edge, None while unknown.
-
-    None if too little of the outline is in the picture and in the light.
-    """
-    if width_px is None:
-        reach = max(min(BAND * radius, BAND_FRAME * camera.width_px), LEAST_PX) / radius
-    else:
-        reach = max(min(WIDTHS * width_px + BEYOND_PX, BAND * max(radius, 2.0 * LEAST_PX / BAND)), LEAST_PX) / radius
-    seen = lines(picture, outline, centre, min(reach, INWARD), min(reach, OUTWARD))
-    return seen if seen.visible.sum() >= (FIRST_ARC if width_px is None else MIN_ARC) * RAYS else None
-
-
-def colour_edge(
-    seen: Lines, found: Patch, dark: float, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
-) -> Edge | None:
-    """The edge as colour shows it.
-
-    `dark`: light without colour; `near`: a cone within a pixel or two; None: any may be right.
-    """
-    mean = sum(found.ring) / 3.0
-    gain = [min(max(mean / (light + dark), 1.0 / MAX_GAIN), MAX_GAIN) for light in found.ring]
-    profile = colour_profile(seen, np.asarray(weights(found.tone.hue_rad) * gain, np.float32))
-    return _edge(seen, edges(seen, profile, True), origin, camera, tolerance_px, near)
-
-
-def lightness_edge(
-    seen: Lines, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
-) -> Edge | None:
-    """The edge as lightness shows it; `near` as for colour."""
-    return _edge(seen, edges(seen, local_profile(seen), False), origin, camera, tolerance_px, near)
-
-
-def tolerance_px(radius_px: float, last: bool) -> float:
-    """How far from the cone an edge may be; at a first look the guess itself is off."""
-    return max(LOOSE_PX if not last else min(LOOSE_PX, TIGHT * radius_px), LOOSE * radius_px)
-
-
-def combined(
-    colour: Edge | None, lightness: Edge | None, burnt: bool, visible: float, camera: CameraFit
-) -> OutlineFit | None:
-    """One outline of two; of one alone with half of its evidence and twice its uncertainty.
-
-    `burnt`: the disc is too bright to have a colour, which then ends somewhere within it or in the glow around it, so
-    lightness alone says it all.
-    """
-    one, other = colour or lightness, lightness or colour
-    if one is None or other is None:
-        return None
-    by_lightness = burnt or other.cone.theta_rad * camera.f_px < SMALL_PX
-    if by_lightness and other.agree >= one.agree:
-        one = other
-    variances = one.sigma_px**2 + COLOUR_PX**2, other.sigma_px**2 + (GAMMA * other.width_px) ** 2
-    share = variances[1] / sum(variances)
-    axis = share * one.cone.axis + (1.0 - share) * other.cone.axis
-    radii = [edge.cone.theta_rad * camera.f_px for edge in (one, other)]
-    apart_px = radii[0] - radii[1] if one is not other else 2.0 * math.sqrt(variances[0])
-    return OutlineFit(
-        axis / np.sqrt((axis * axis).sum()),
-        share * radii[0] + (1.0 - share) * radii[1],
-        math.hypot(math.sqrt(variances[0] * variances[1] / sum(variances)), 0.5 * apart_px),
-        0.5 * (one.agree + other.agree) if one is not other or by_lightness else 0.5 * one.agree,
-        max(one, other, key=lambda edge: edge.agree).rms_px,
-        max(one.width_px, other.width_px),
-        visible,
-        one.rays,
-    )
-
-
-def _edge(
-    seen: Lines, found: Edges, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
-) -> Edge | None:
-    if len(found.points) < (MIN_ARC if near else FIRST_ARC) * RAYS:
-        return None
-    rays = cones.to_rays(found.points + origin, camera)
-    cone = cones.refined(near, rays, camera, tolerance_px) if near else cones.consensus(rays, camera, tolerance_px)
-    if cone is None:
-        return None
-    misses = cones.misses_px(rays, cone, camera)
-    agree = np.abs(misses) < tolerance_px
-    count = int(np.count_nonzero(agree))
-    if count < (0.2 if near else FIRST_ARC) * RAYS:
-        return None
-    misses = misses[agree]
-    rms_px = math.sqrt(float(misses @ misses) / count)
-    on = found.on.copy()
-    on[on] = agree
-    terms = AROUND[on]  # of a radius and a shift of the centre
-    (n, a, b), (_, aa, ab), (_, _, bb) = (terms.T @ terms + LITTLE).tolist()
-    minor = aa * bb - ab * ab
-    variance = minor / (n * minor - a * (a * bb - ab * b) + b * (a * ab - aa * b)) * ALIKE
-    sigma_px = max(rms_px, 0.05) * math.sqrt(variance)
-    return Edge(cone, count / int(np.count_nonzero(seen.visible)), rms_px, found.width_px, sigma_px, on)
 
 
 # --- the closer look, and the score ---
@@ -537,14 +384,14 @@ def _ball(
             if patch_doubt(found, radius_px, by_lamps) > allowed:
                 return None
         seen = look(picture, outline, centre, radius_px, camera, width_px)
-        if seen is None:
+        if seen is None or found is None:
             return None
         near = tolerance_px(radius_px, last)
         lead = cone if last and radius_px >= SMALL_PX else None
         small, lightness = radius_px < SMALL_PX and not by_lamps, None
         if small or last:
             lightness = lightness_edge(seen, origin, camera, near, lead)
-            if small and not last and not _sure(lightness, camera):
+            if small and not last and not may_be_small(lightness, camera):
                 return None
         colour = colour_edge(seen, found, picture.dark, origin, camera, near, lead)
         if not (small or last or (colour and colour.agree >= PLAIN)):
@@ -571,11 +418,6 @@ def _ball(
     return Ball(
         (float(u), float(v)), float(fit.radius_px), score(found, fit, model.rare, by_lamps), float(fit.sigma_px)
     )
-
-
-def _sure(edge: Edge | None, camera: CameraFit) -> bool:
-    """Whether a first look's edge of a small ball may come out as one."""
-    return edge is not None and edge.agree >= SURE and edge.rms_px <= SCATTER * _radius(edge.cone, camera)
 
 
 def _near(outline: Array, points: Array) -> NDArray[np.bool_]:
