@@ -368,7 +368,7 @@ def _ball(
 
     least: score. What cannot reach it by its disc and ring alone gets no closer look.
     """
-    cone, width_px, rays, found = first_guess(spot.points, origin, camera), None, None, None
+    cone, width_px, rays = first_guess(spot.points, origin, camera), None, None
     allowed = model.rare - math.log(least) if least > 0.0 else math.inf
     for last in (False, True):
         if cone is None or not MIN_RADIUS_PX * (1.0 if last else 0.6) <= _radius(cone, camera) <= _largest(camera):
@@ -377,14 +377,15 @@ def _ball(
         outline, centre = cones.outline(cone, camera) - origin, cones.project(cone.axis, camera) - origin
         if radius_px > LARGE_PX:
             rays = _near(outline, spot.points) if rays is None else rays
-        if not last or rays is None:  # of what something may hide, disc and ring are looked at again in the end
-            found = patch(picture, outline, centre, rays)
-            if found is None or not _worth_a_look(found, model, 0.0 if last else SLACK_RAD):
-                return None
-            if patch_doubt(found, radius_px, by_lamps) > allowed:
-                return None
+        found = patch(picture, outline, centre, rays)
+        # What something may hide is judged by another patch in the end.
+        slack_rad = 0.0 if last and rays is None else SLACK_RAD
+        if found is None or not _worth_a_look(found, model, slack_rad):
+            return None
+        if patch_doubt(found, radius_px, by_lamps) > allowed:
+            return None
         seen = look(picture, outline, centre, radius_px, camera, width_px)
-        if seen is None or found is None:
+        if seen is None:
             return None
         near = tolerance_px(radius_px, last)
         lead = cone if last and radius_px >= SMALL_PX else None

@@ -40,9 +40,9 @@ def _triples(count: int) -> NDArray[np.int64]:
 
 
 def consensus(rays: Array, camera: CameraFit, tolerance_px: float) -> Cone | None:
-    """The cone on which most rays lie: least squares of m . g = 1 where all agree with it, else RANSAC over triples."""
+    """The cone on which most rays lie: least squares of m . g = 1 if all agree well with it, else RANSAC over triples."""
     cone = _through(rays)
-    if cone is not None and agree(rays, cone, camera, tolerance_px).all():
+    if cone is not None and agree(rays, cone, camera, 0.5 * tolerance_px).all():
         return cone
     m1, m2, m3 = rays[_triples(len(rays)).T]
     normal = _cross(m2 - m1, m3 - m1)  # of the plane through three points of the unit sphere
