@@ -40,7 +40,7 @@ def _triples(count: int) -> NDArray[np.int64]:
 
 
 def consensus(rays: Array, camera: CameraFit, tolerance_px: float) -> Cone | None:
-    """The cone on which most rays lie: least squares of m . g = 1 if all agree well with it, else RANSAC over triples."""
+    """The cone of most rays: least squares of m . g = 1 if all agree well with it, else RANSAC over triples."""
     cone = _through(rays)
     if cone is not None and agree(rays, cone, camera, 0.5 * tolerance_px).all():
         return cone
