@@ -158,8 +158,8 @@ def _model(
 
 
 # Hues of 255 marked balls in real and made pictures: red -8 to 9 deg, orange 2 to 20, yellow 20 to 80, green 56 to 150.
-# Green is looked for at the hue, of four from 100 to 121, at which most small ones were found and fewest false ones: the
-# same on the runs of one pool as on all others, each picture as it is and changed in six ways.
+# Green is looked for at the hue, of four from 100 to 121, at which most small ones and fewest false ones were found:
+# the same on the runs of one pool as on all other pictures, each as it is and changed in six ways.
 # Orange is what the rules of a known contest call its red buoy: a search for red finds it as well.
 NAMED: dict[Colour, ColourModel] = {
     "red": _model(5.0, -20.0, 21.0, _warm),
