@@ -122,10 +122,10 @@ def test_a_vignetted_view_is_no_ball(tmp_path):
 
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"the shared data are not here: set AUCAMP_DATA (looked in {DATA})")
 def test_a_yellow_ball_beside_a_red_one_is_not_red() -> None:
-    """It has a hue between both, and more green light than red."""
+    """It has a hue between both, and more green light than red. The frame cuts a green one off."""
     image = read_picture(DATA / "real_water" / "failing" / "balls" / "frame-043.png")
     found = {(colour, round(ball.centre_px[0], -1)) for colour, ball in look(image, []).false}
-    assert found == {("red", 490), ("orange", 490), ("yellow", 340)}
+    assert found == {("red", 490), ("orange", 490), ("yellow", 340), ("green", 640)}
 
 
 @pytest.mark.skipif(not DATA.is_dir(), reason=f"the shared data are not here: set AUCAMP_DATA (looked in {DATA})")

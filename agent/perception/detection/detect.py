@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -28,23 +28,28 @@ from agent.perception.detection.colour import (
     Light,
     Picture,
     exposed,
-    hue_and_strength,
     weights,
 )
 from agent.perception.detection.outline_cone import (
-    AROUND,
     CIRCLE,
     CLEAR_PX,
+    PLAIN,
     RAYS,
+    SMALL_PX,
+    SURE,
     Array,
     Cone,
-    Lines,
+    OutlineFit,
     Patch,
-    colour_profile,
-    edges,
-    lines,
-    local_profile,
+    colour_edge,
+    combined,
+    first_guess,
+    lightness_edge,
+    look,
+    may_be_small,
+    median,
     patch,
+    tolerance_px,
 )
 
 # --- spots that have more of a colour's hue than what is around them ---
@@ -61,8 +66,18 @@ PEAKS = 16, 8, 4  # of each octave, the strongest: small things are many
 MIN_CONTRAST = 0.05  # of a peak against its surroundings, logarithm of light
 NOISES = 4.0  # of the picture's own unrest
 NEIGHBOURS = np.ones((7, 7), np.uint8)
+ROUGH = 0.33  # what is farther from a circle than that, rms in radii, is no spot; half a ball behind a stone has 0.2
+STRIP = 64  # rows whose colours are told at once: memory that stays small is not given back and asked for again
 SPOTS = 24  # the best are looked at closely
 WITHIN, AT = 0.45, CIRCLE[:: RAYS // 16]  # where a spot's own colour is looked at: of its radius, and directions
+
+
+class Outlined(NamedTuple):
+    """What may be a spot."""
+
+    points: Array  # (n, 2) pixels of the picture, on the middle of its outer pixels, without those on the border
+    contrast: float
+    half_px: float  # half an octave's pixel: so much farther out it ends
 
 
 class Spot(NamedTuple):
@@ -78,109 +93,124 @@ def spots(picture: Picture, model: ColourModel) -> list[Spot]:
     height, width = image.shape[0] // FINEST, image.shape[1] // FINEST
     if min(height, width) < SMALLEST:
         return []
-    small = cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
-    logs = np.asarray(cv2.LUT(small, picture.log_light), np.float32)
-    plane = np.asarray(cv2.transform(logs, weights(model.hue_rad)[None]), np.float32)
-    found: list[Spot] = []
+    small = np.asarray(cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    plane: Light = np.empty((height, width), np.float32)
+    turn = weights(model.hue_rad)[None]
+    for top in range(0, height, STRIP):
+        cv2.transform(cv2.LUT(small[top : top + STRIP], picture.log_light), turn, plane[top : top + STRIP])
+    found: list[Outlined] = []
     octave = 0
     while min(plane.shape) >= SMALLEST:
         scale = image.shape[1] / plane.shape[1], image.shape[0] / plane.shape[0]
-        found += (one for one in _octave(plane, scale, PEAKS[min(octave, len(PEAKS) - 1)]))
+        found += _octave(plane, scale, PEAKS[min(octave, len(PEAKS) - 1)])
         if octave == 1:
             found += _largest_first(plane, scale)
         plane = np.asarray(cv2.resize(plane, (plane.shape[1] // 2, plane.shape[0] // 2), interpolation=cv2.INTER_AREA))
         octave += 1
-    return [spot for spot in _different(found) if _shows(logs, spot, model)][:SPOTS]
+    different = _different(_round(found)) if found else []
+    return [different[k] for k in np.flatnonzero(_show(picture, small, different, model))[:SPOTS]] if different else []
 
 
-def _shows(log_light: Light, spot: Spot, model: ColourModel) -> bool:
-    """Whether a few pixels of the spot have the colour beside a few around it.
+def _show(picture: Picture, small: Image, found: list[Spot], model: ColourModel) -> NDArray[np.bool_]:
+    """(n,) whether a few pixels of each spot have the colour beside a few around it.
 
-    log_light: of the first octave (height, width, 3). Most spots end here, at a tenth of a closer look's cost.
+    small: the first octave (height, width, 3). Most spots end here, at a hundredth of a closer look's cost.
     """
-    u, v, radius = spot.circle
-    last = log_light.shape[0] - 1, log_light.shape[1] - 1
-    medians = []
-    for reach in (WITHIN * radius, radius + max(0.5 * radius, CLEAR_PX + 1.0)):
-        x = np.clip(((u + reach * AT[:, 0]) / FINEST).astype(int), 0, last[1])
-        y = np.clip(((v + reach * AT[:, 1]) / FINEST).astype(int), 0, last[0])
-        medians.append(np.sort(log_light[y, x], axis=0)[len(AT) // 2])
-    hue_rad, strength = hue_and_strength(medians[0] - medians[1])
-    near = model.low_rad - SLACK_RAD < hue_rad < model.high_rad + SLACK_RAD
-    return near and strength > MIN_STRENGTH
+    u, v, radius = np.array([spot.circle for spot in found]).T[..., None, None]
+    reach = np.concatenate([WITHIN * radius, radius + np.maximum(0.5 * radius, CLEAR_PX + 1.0)], axis=1)
+    x = np.clip(((u + reach * AT[:, 0]) / FINEST).astype(int), 0, small.shape[1] - 1)
+    y = np.clip(((v + reach * AT[:, 1]) / FINEST).astype(int), 0, small.shape[0] - 1)
+    medians = np.sort(picture.log_light[small[y, x]], axis=2)[:, :, len(AT) // 2]
+    blue, green, red = (medians[:, 0] - medians[:, 1]).T
+    across, up = red - 0.5 * (green + blue), math.sqrt(0.75) * (green - blue)
+    hue_rad = np.arctan2(up, across)
+    near = (model.low_rad - SLACK_RAD < hue_rad) & (hue_rad < model.high_rad + SLACK_RAD)
+    return np.asarray(near & (np.hypot(across, up) > MIN_STRENGTH))
 
 
-def _octave(plane: Light, scale: tuple[float, float], peaks: int) -> Iterator[Spot]:
-    """Spots of one size of picture; `scale`: pixels of the whole one for each of its own, across and down."""
+def _octave(plane: Light, scale: tuple[float, float], peaks: int) -> Iterator[Outlined]:
+    """What stands out in one size of picture; `scale`: pixels of the whole one for each of its own, across and down."""
     fine = cv2.GaussianBlur(plane, (5, 5), 1.0)
-    stands_out = cv2.subtract(cv2.GaussianBlur(fine, (7, 7), 1.5), cv2.blur(fine, (25, 25)))
-    noise = float(np.median(np.abs(stands_out[::4, ::4])))
-    highest = cv2.dilate(stands_out, NEIGHBOURS)
+    around, stands_out = cv2.blur(fine, (25, 25)), cv2.GaussianBlur(fine, (7, 7), 1.5)
+    cv2.subtract(stands_out, around, stands_out)
+    noise = median(np.abs(stands_out[::4, ::4]).ravel())
+    highest = cv2.dilate(stands_out, NEIGHBOURS, around)
     at = np.flatnonzero((stands_out >= highest) & (stands_out > max(MIN_CONTRAST, NOISES * noise)))
     strongest = at[np.argsort(stands_out.ravel()[at])[::-1][:peaks]]
-    for place in strongest:
-        v, u = divmod(int(place), plane.shape[1])
+    for place in strongest.tolist():
+        v, u = divmod(place, plane.shape[1])
         top, left = max(v - WINDOW, 0), max(u - WINDOW, 0)
         part = fine[top : v + WINDOW + 1, left : u + WINDOW + 1]
         height = float(fine[v, u])
-        rim = np.sort(np.concatenate([part[0], part[-1], part[:, 0], part[:, -1]]))
+        rim = np.concatenate([part[0], part[-1], part[:, 0], part[:, -1]])
+        rim.sort()
         floor = float(rim[len(rim) // 2])
-        mask = np.asarray(part > 0.5 * (height + floor), np.uint8)
-        cv2.floodFill(mask, None, (u - left, v - top), 2)
-        yield from _outlined((mask == 2).view(np.uint8), (left, top), plane.shape, scale, height - floor)
+        bright = part > 0.5 * (height + floor)
+        rows, columns = part.shape
+        at_left, at_top = left == 0, top == 0
+        at_right, at_bottom = left + columns == plane.shape[1], top + rows == plane.shape[0]
+        row, column = bright[v - top], bright[:, u - left]
+        if (not at_right and row[u - left :].all()) or (not at_left and row[: u - left].all()):
+            continue  # straight aside it leaves the window
+        if (not at_bottom and column[v - top :].all()) or (not at_top and column[: v - top].all()):
+            continue
+        mask = bright.view(np.uint8)
+        x, y, across, down = cv2.floodFill(mask, None, (u - left, v - top), 2)[3]
+        if not ((x or at_left) and (y or at_top)):
+            continue
+        if not ((x + across < columns or at_right) and (y + down < rows or at_bottom)):
+            continue  # it does not end within the window
+        spot = (mask[y : y + down, x : x + across] == 2).view(np.uint8)
+        contours, _ = cv2.findContours(spot, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE, offset=(left + x, top + y))
+        yield from _outlined(contours[0], plane.shape, scale, height - floor)
 
 
-def _largest_first(plane: Light, scale: tuple[float, float]) -> Iterator[Spot]:
+def _largest_first(plane: Light, scale: tuple[float, float]) -> Iterator[Outlined]:
     """The largest spot above a threshold for the whole picture: a ball that leaves little around itself."""
-    low, high = float(plane.min()), float(plane.max())
+    low, high, _, _ = cv2.minMaxLoc(plane)
     if high - low < MIN_CONTRAST:
         return
     level = np.asarray((plane - low) * (255.0 / (high - low)), np.uint8)
     _, mask = cv2.threshold(level, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     contours, _ = cv2.findContours(np.asarray(mask), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
     if contours:
-        spot = np.zeros(plane.shape, np.uint8)
-        cv2.drawContours(spot, [max(contours, key=cv2.contourArea)], -1, 1, cv2.FILLED)
-        yield from _outlined(spot, (0, 0), plane.shape, scale, 0.5 * (high - low))
+        yield from _outlined(max(contours, key=cv2.contourArea), plane.shape, scale, 0.5 * (high - low))
 
 
 def _outlined(
-    spot: NDArray[np.uint8],
-    corner: tuple[int, int],
-    shape: tuple[int, ...],
-    scale: tuple[float, float],
-    contrast: float,
-) -> Iterator[Spot]:
-    """One spot of a window, if it ends within the window."""
-    left, top = corner
-    right, bottom = left + spot.shape[1], top + spot.shape[0]
-    height, width = shape
-    within = left > 0, top > 0, right < width, bottom < height
-    if any(side and rim.any() for side, rim in zip(within, (spot[:, 0], spot[0], spot[:, -1], spot[-1]), strict=True)):
-        return
-    contours, _ = cv2.findContours(spot, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    points: Array = contours[0][:, 0, :].astype(np.float64) + corner
-    points = points[~((points == 0) | (points == (width - 1, height - 1))).any(axis=1)]
-    if len(points) < 6:
-        return
-    points = (points + 0.5) * scale - 0.5
-    circle, rough = _circle(points)
+    contour: NDArray[Any], shape: tuple[int, ...], scale: tuple[float, float], contrast: float
+) -> Iterator[Outlined]:
+    """By a contour (n, 1, 2) in an octave of this shape, if enough of it lies within the picture."""
+    points = contour[:, 0, :]
+    points = points[((points > 0) & (points < (shape[1] - 1, shape[0] - 1))).all(axis=1)]
+    if len(points) >= 6:
+        yield Outlined((points + 0.5) * scale - 0.5, contrast, 0.5 * scale[0])
+
+
+def _round(found: list[Outlined]) -> list[Spot]:
+    """Those of at least one that are somewhat round, by least squares circles, all at once."""
+    points, count = np.concatenate([one.points for one in found]), np.array([len(one.points) for one in found])
+    first, which = np.cumsum(count) - count, np.repeat(np.arange(len(found)), count)
+    middle = np.add.reduceat(points, first) / count[:, None]
+    x, y = (points - middle[which]).T
+    square = x * x + y * y
+    terms = np.array([x * x, x * y, y * y, x * square, y * square, square])
+    xx, xy, yy, xs, ys, squares = np.add.reduceat(terms, first, axis=1)
+    xx, yy = xx + 1e-6, yy + 1e-6  # all in a row
+    twice = 2.0 * (xx * yy - xy * xy)
+    a, b = (yy * xs - xy * ys) / twice, (xx * ys - xy * xs) / twice
+    radius = np.sqrt(np.maximum(squares / count + a * a + b * b, 1e-6))
+    off = np.hypot(x - a[which], y - b[which]) - radius[which]
+    rough = np.sqrt(np.add.reduceat(off * off, first) / count) / radius
+    centre = middle + np.column_stack([a, b])
     # Contours run through the middle of a spot's outer pixels; the spot ends half a pixel farther out.
-    middle = np.array(circle[:2])
-    growth = 1.0 + 0.5 * scale[0] / circle[2]
-    yield Spot(middle + growth * (points - middle), contrast, rough, (*circle[:2], growth * circle[2]))
-
-
-def _circle(points: Array) -> tuple[tuple[float, float, float], float]:
-    """Least squares circle through points: u, v, radius, and the rms distance from it in radii."""
-    middle = points.mean(axis=0)
-    x = points - middle
-    terms = np.column_stack([2.0 * x, np.ones(len(x))])
-    square = (x * x).sum(axis=1)
-    a, b, c = np.linalg.solve(terms.T @ terms + 1e-6 * np.eye(3), terms.T @ square)
-    radius = math.sqrt(max(c + a * a + b * b, 1e-6))
-    off = np.sqrt((x[:, 0] - a) ** 2 + (x[:, 1] - b) ** 2) - radius
-    return (float(middle[0] + a), float(middle[1] + b), radius), math.sqrt(float(off @ off) / len(off)) / radius
+    growth = 1.0 + np.array([one.half_px for one in found]) / radius
+    points = centre[which] + growth[which, None] * (points - centre[which])
+    circles = np.column_stack([centre, growth * radius]).tolist()
+    return [
+        Spot(points[first[k] : first[k] + count[k]], found[k].contrast, float(rough[k]), tuple(circles[k]))
+        for k in np.flatnonzero(rough <= ROUGH)
+    ]
 
 
 def _different(found: list[Spot]) -> list[Spot]:
@@ -193,158 +223,9 @@ def _different(found: list[Spot]) -> list[Spot]:
     return kept
 
 
-# --- the outline around a spot ---
-#
-# It is a cone through the edge as colour shows it, and one through the edge as lightness does. Neither is right
-# everywhere. Colour leads through shadow and texture, but JPEG blurs it and the sun burns it out; lightness is sharp,
-# but what a camera makes of light moves the edge of a blurred thing. Each counts for as much as it is determined, and
-# where they disagree the radius is the less certain.
-
-BAND = 0.30  # the outline is looked for within this share of the radius inside and outside the first guess,
-BAND_FRAME = 0.05  # and within this share of the frame's width: twice the largest blur's radius;
-LEAST_PX = 4.0  # but so far at least: a camera's own blur and JPEG reach 2 px from an edge
-# The second look reaches so many widths of the edge (a quarter to three quarters of its height), so that the levels
-# inside and outside are taken beyond the blur, but not where the ball is shaded otherwise than at its rim.
-WIDTHS, BEYOND_PX = 2.5, 1.5
-INWARD, OUTWARD = 0.65, 1.2  # of the radius, at most: of a small ball there is not more
-MIN_ARC = 0.28  # share of the whole outline: what is left of 120 deg where it runs into the edge of the frame
-FIRST_ARC = 0.18  # of a first look, whose wide band loses more lines at that edge
-LOOSE_PX, LOOSE = 2.0, 0.04  # an edge agrees with the cone within so many pixels, or this share of the radius:
-TIGHT = 0.1  # of small ones never more than this, or anything would be round
-MAX_GAIN = 2.5  # a plane weaker than that holds noise, not colour
-# Radius errors that the scatter of the edges does not show. Colour: the blocks of JPEG, the twin's texture at the rim;
-# lightness: share of the edge's width by which a camera's gamma moves it (rms 0.1 on the twin's defocused frames).
-COLOUR_PX, GAMMA = 0.15, 0.10
-# JPEG halves the resolution of colour: of a small ball lightness knows the outline better. Where it has one, that alone
-# is used, and it has to be nearly whole, for so few pixels often lie on some circle.
-SMALL_PX, SURE = 12.0, 0.85
-ALIKE = 4.0  # neighbouring rays see the same pixels: so many count as one
-
-
-class Edge(NamedTuple):
-    """A cone through one profile's edges."""
-
-    cone: Cone
-    agree: float  # share of the visible rays whose edge is on it
-    rms_px: float  # of these
-    width_px: float  # of the edge
-    sigma_px: float  # of the radius, from scatter and arc
-    rays: NDArray[np.bool_]  # (RAYS,) those that agree
-
-
-class OutlineFit(NamedTuple):
-    """Both edges together."""
-
-    axis: Array  # (3,) of the ray to the centre
-    radius_px: float  # apparent angular radius times f_px
-    sigma_px: float  # its standard deviation
-    agree: float  # share of the visible rays, the mean of both
-    rms_px: float
-    width_px: float  # of the wider of both edges
-    visible: float  # share of all rays
-    rays: NDArray[np.bool_]  # (RAYS,) on which colour has its edge
-
-
-def first_guess(points: Array, origin: Array, camera: CameraFit) -> Cone | None:
-    """A cone through the outline of a spot (n, 2)."""
-    tolerance_px = max(LOOSE_PX, 0.2 * math.sqrt(len(points)))
-    return cones.consensus(cones.to_rays(points + origin, camera), camera, tolerance_px)
-
-
-def look(
-    picture: Picture, outline: Array, centre: Array, radius: float, camera: CameraFit, width_px: float | None
-) -> Lines | None:
-    """Lines across a predicted outline (RAYS, 2) of this radius, pixels; `width_px`: of the edge, None while unknown.
-
-    None if too little of the outline is in the picture and in the light.
-    """
-    if width_px is None:
-        reach = max(min(BAND * radius, BAND_FRAME * camera.width_px), LEAST_PX) / radius
-    else:
-        reach = max(min(WIDTHS * width_px + BEYOND_PX, BAND * max(radius, 2.0 * LEAST_PX / BAND)), LEAST_PX) / radius
-    seen = lines(picture, outline, centre, min(reach, INWARD), min(reach, OUTWARD))
-    return seen if seen.visible.sum() >= (FIRST_ARC if width_px is None else MIN_ARC) * RAYS else None
-
-
-def both_edges(
-    seen: Lines, found: Patch, dark: float, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
-) -> tuple[Edge | None, Edge | None]:
-    """By colour and by lightness.
-
-    `dark`: light without colour; `near`: a cone within a pixel or two; None: any may be right.
-    """
-    gain = np.clip(found.ring.mean() / (found.ring + dark), 1.0 / MAX_GAIN, MAX_GAIN)
-    coloured = colour_profile(seen, weights(found.tone.hue_rad) * gain)
-    return (
-        _edge(seen, coloured, True, origin, camera, tolerance_px, near),
-        _edge(seen, local_profile(seen), False, origin, camera, tolerance_px, near),
-    )
-
-
-def tolerance_px(radius_px: float, last: bool) -> float:
-    """How far from the cone an edge may be; at a first look the guess itself is off."""
-    return max(LOOSE_PX if not last else min(LOOSE_PX, TIGHT * radius_px), LOOSE * radius_px)
-
-
-def combined(
-    colour: Edge | None, lightness: Edge | None, burnt: bool, visible: float, camera: CameraFit
-) -> OutlineFit | None:
-    """One outline of two; of one alone with half of its evidence and twice its uncertainty.
-
-    `burnt`: the disc is too bright to have a colour, which then ends somewhere within it or in the glow around it, so
-    lightness alone says it all.
-    """
-    one, other = colour or lightness, lightness or colour
-    if one is None or other is None:
-        return None
-    by_lightness = burnt or other.cone.theta_rad * camera.f_px < SMALL_PX
-    if by_lightness and other.agree >= one.agree:
-        one = other
-    variances = one.sigma_px**2 + COLOUR_PX**2, other.sigma_px**2 + (GAMMA * other.width_px) ** 2
-    share = variances[1] / sum(variances)
-    axis = share * one.cone.axis + (1.0 - share) * other.cone.axis
-    radii = [edge.cone.theta_rad * camera.f_px for edge in (one, other)]
-    apart_px = radii[0] - radii[1] if one is not other else 2.0 * math.sqrt(variances[0])
-    return OutlineFit(
-        axis / np.sqrt((axis * axis).sum()),
-        share * radii[0] + (1.0 - share) * radii[1],
-        math.hypot(math.sqrt(variances[0] * variances[1] / sum(variances)), 0.5 * apart_px),
-        0.5 * (one.agree + other.agree) if one is not other or by_lightness else 0.5 * one.agree,
-        max(one, other, key=lambda edge: edge.agree).rms_px,
-        max(one.width_px, other.width_px),
-        visible,
-        one.rays,
-    )
-
-
-def _edge(
-    seen: Lines, profile: Array, shaded: bool, origin: Array, camera: CameraFit, tolerance_px: float, near: Cone | None
-) -> Edge | None:
-    found = edges(seen, profile, shaded)
-    if len(found.points) < (MIN_ARC if near else FIRST_ARC) * RAYS:
-        return None
-    rays = cones.to_rays(found.points + origin, camera)
-    cone = cones.refined(near, rays, camera, tolerance_px) if near else cones.consensus(rays, camera, tolerance_px)
-    if cone is None:
-        return None
-    misses = cones.misses_px(rays, cone, camera)
-    agree = np.abs(misses) < tolerance_px
-    count = int(agree.sum())
-    if count < (0.2 if near else FIRST_ARC) * RAYS:
-        return None
-    rms_px = math.sqrt(float((misses[agree] ** 2).mean()))
-    terms = AROUND[found.on][agree]  # of a radius and a shift of the centre
-    variance = np.linalg.inv(terms.T @ terms + 1e-9 * np.eye(3))[0, 0] * ALIKE
-    sigma_px = max(rms_px, 0.05) * math.sqrt(float(variance))
-    on = np.zeros(RAYS, bool)
-    on[np.flatnonzero(found.on)[agree]] = True
-    return Edge(cone, count / int(seen.visible.sum()), rms_px, found.width_px, sigma_px, on)
-
-
 # --- the closer look, and the score ---
 
 MIN_RADIUS_PX = 4.0  # below, a handful of pixels looks like anything: 0.07 m at f = 1169 px, beyond 20 m
-ROUGH = 0.33  # a spot farther from a circle than that, rms in radii, is none; half a ball behind a stone has 0.2
 HALF = 0.6  # of disc and of ring have to be of their own colour for the outline to be looked at
 LARGE_PX = 40.0  # larger ones are judged by the part that nothing hides; of smaller ones there is too little
 NEAR_SPOT = 0.15  # radii
@@ -400,8 +281,15 @@ def find_ball(
     `origin_px` is where the image's upper left pixel lies in the full frame. A ball that overflows the frame is
     found while the frame shows 120 deg of its outline. limit: least score. by_lamps: no other light than robots' lamps.
     """
-    balls = find_balls(image, camera, origin_px, colour, limit, by_lamps)
-    return balls[0] if balls else None
+    model = NAMED[colour] if isinstance(colour, str) else colour
+    origin, picture, best = np.asarray(origin_px, float), exposed(image), None
+    for spot in spots(picture, model):
+        ball = _ball(picture, spot, camera, origin, model, by_lamps, best.score if best else limit)
+        if ball and (ball.score > best.score if best else ball.score >= limit):
+            best = ball
+        if best and best.score == 1.0:
+            break
+    return best
 
 
 def find_balls(
@@ -416,7 +304,7 @@ def find_balls(
     model = NAMED[colour] if isinstance(colour, str) else colour
     origin = np.asarray(origin_px, float)
     picture = exposed(image)
-    candidates = (_ball(picture, spot, camera, origin, model, by_lamps) for spot in spots(picture, model))
+    candidates = (_ball(picture, spot, camera, origin, model, by_lamps, limit) for spot in spots(picture, model))
     sure = [ball for ball in candidates if ball is not None and ball.score >= limit]
     balls: list[Ball] = []
     for ball in sorted(sure, key=lambda one: one.score, reverse=True):
@@ -437,7 +325,7 @@ def score(found: Patch, fit: OutlineFit, rare: float = 0.0, by_lamps: bool = Fal
     radius_px = fit.radius_px
     arc_px = max(fit.visible * 2.0 * math.pi * radius_px, 1.0)
     glows = found.tone.burnt > GLARE
-    roomy = min(1.0, max(ROOMY_PX / radius_px, GLOWING if glows else 0.0))
+    roomy = _roomy(found, radius_px)
     sharp_px = min(SHARP_PX + SHARP * radius_px, BLUR_PX) * (GLOW if glows else 1.0)
     if by_lamps:
         sharp_px += LIMB * radius_px
@@ -445,46 +333,79 @@ def score(found: Patch, fit: OutlineFit, rare: float = 0.0, by_lamps: bool = Fal
     doubt = (
         MISSING * (1.0 - fit.agree) * (SURER if small else roomy)
         + UNEVEN * max(fit.rms_px - PIXEL_PX, 0.0) / radius_px
-        + STRAY * (1.0 - found.clear + 0.5 * (1.0 - found.full)) * (BLURRED if small else 1.0)
         + HIDDEN * max(WHOLE - fit.visible, 0.0) * min(1.0, ARC_PX / arc_px)
-        + DARK * max(found.dark - SHADE, 0.0)
-        + UNREST * max(min(found.unrest, 1.0) - CALM, 0.0) * (BLURRED if small else roomy)
         + SOFT * max(fit.width_px - sharp_px, 0.0) / min(radius_px, SOFT_PX)
+        + patch_doubt(found, radius_px, by_lamps)
     )
     return math.exp(-max(doubt - rare, 0.0))
 
 
+def patch_doubt(found: Patch, radius_px: float, by_lamps: bool) -> float:
+    """What of a candidate's doubt its disc and ring alone make: see score()."""
+    small = radius_px < SMALL_PX and not by_lamps
+    return (
+        STRAY * (1.0 - found.clear + 0.5 * (1.0 - found.full)) * (BLURRED if small else 1.0)
+        + DARK * max(found.dark - SHADE, 0.0)
+        + UNREST * max(min(found.unrest, 1.0) - CALM, 0.0) * (BLURRED if small else _roomy(found, radius_px))
+    )
+
+
+def _roomy(found: Patch, radius_px: float) -> float:
+    """How much a gap in the outline and what lies on the disc count."""
+    return min(1.0, max(ROOMY_PX / radius_px, GLOWING if found.tone.burnt > GLARE else 0.0))
+
+
 def _ball(
-    picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model: ColourModel, by_lamps: bool
+    picture: Picture,
+    spot: Spot,
+    camera: CameraFit,
+    origin: Array,
+    model: ColourModel,
+    by_lamps: bool,
+    least: float,
 ) -> Ball | None:
-    """What a closer look makes of a spot: once over a wide band, once over as narrow a one as the blur allows."""
-    if spot.rough > ROUGH:
-        return None
+    """What a closer look makes of a spot: once over a wide band, once over as narrow a one as the blur allows.
+
+    least: score. What cannot reach it by its disc and ring alone gets no closer look.
+    """
     cone, width_px, rays = first_guess(spot.points, origin, camera), None, None
+    allowed = model.rare - math.log(least) if least > 0.0 else math.inf
     for last in (False, True):
         if cone is None or not MIN_RADIUS_PX * (1.0 if last else 0.6) <= _radius(cone, camera) <= _largest(camera):
             return None
+        radius_px = _radius(cone, camera)
         outline, centre = cones.outline(cone, camera) - origin, cones.project(cone.axis, camera) - origin
-        if _radius(cone, camera) > LARGE_PX:
+        if radius_px > LARGE_PX:
             rays = _near(outline, spot.points) if rays is None else rays
         found = patch(picture, outline, centre, rays)
-        if found is None or not _worth_a_look(found, model):
+        # What something may hide is judged by another patch in the end.
+        slack_rad = 0.0 if last and rays is None else SLACK_RAD
+        if found is None or not _worth_a_look(found, model, slack_rad):
             return None
-        seen = look(picture, outline, centre, _radius(cone, camera), camera, width_px)
+        if patch_doubt(found, radius_px, by_lamps) > allowed:
+            return None
+        seen = look(picture, outline, centre, radius_px, camera, width_px)
         if seen is None:
             return None
-        near = tolerance_px(_radius(cone, camera), last)
-        lead = cone if last and _radius(cone, camera) >= SMALL_PX else None
-        pair = both_edges(seen, found, picture.dark, origin, camera, near, lead)
-        edge = max((one for one in pair if one), key=lambda one: one.agree, default=None)
+        near = tolerance_px(radius_px, last)
+        lead = cone if last and radius_px >= SMALL_PX else None
+        small, lightness = radius_px < SMALL_PX and not by_lamps, None
+        if small or last:
+            lightness = lightness_edge(seen, origin, camera, near, lead)
+            if small and not last and not may_be_small(lightness, camera):
+                return None
+        colour = colour_edge(seen, found, picture.dark, origin, camera, near, lead)
+        if not (small or last or (colour and colour.agree >= PLAIN)):
+            lightness = lightness_edge(seen, origin, camera, near, lead)
+        edge = max((one for one in (colour, lightness) if one), key=lambda one: one.agree, default=None)
         if edge is None:
             return None
         cone, width_px = edge.cone, edge.width_px
         if _radius(cone, camera) < SMALL_PX and edge.agree < SURE and not by_lamps:
             return None
-        rays = (pair[0] or edge).rays if rays is not None else None  # colour leads through what stands in front
+        rays = (colour or edge).rays if rays is not None else None  # colour leads through what stands in front
     assert seen is not None and found is not None  # the loop has seen to it
-    fit = combined(*pair, found.tone.burnt >= BURNT, float(seen.visible.mean()), camera)
+    fit = combined(colour, lightness, found.tone.burnt >= BURNT, float(seen.visible.mean()), camera)
     if fit is None or not MIN_RADIUS_PX <= fit.radius_px <= _largest(camera):
         return None
     cut_off = fit.radius_px < SMALL_PX and fit.visible < 1.0
@@ -502,16 +423,18 @@ def _ball(
 
 def _near(outline: Array, points: Array) -> NDArray[np.bool_]:
     """Rays of an outline (n, 2) on which the outline of a spot (m, 2) is as well: what hides the others is no ball."""
-    apart = outline[:, None] - points
-    limit_px = NEAR_SPOT * math.sqrt(float(((outline - outline.mean(axis=0)) ** 2).sum()) / len(outline))
-    near: NDArray[np.bool_] = (apart * apart).sum(axis=2).min(axis=1) < limit_px**2
+    middle = outline.mean(axis=0)
+    a, b = outline - middle, points - middle
+    square = (a * a).sum(axis=1)
+    limit = NEAR_SPOT**2 * float(square.mean())
+    near: NDArray[np.bool_] = square + ((b * b).sum(axis=1) - 2.0 * (a @ b.T)).min(axis=1) < limit
     return near
 
 
-def _worth_a_look(found: Patch, model: ColourModel) -> bool:
-    """Whether there may be a ball, while its outline is not known well."""
+def _worth_a_look(found: Patch, model: ColourModel, slack_rad: float) -> bool:
+    """Whether there may be a ball; `slack_rad`: where its outline is not known well yet."""
     plain = found.tone.strength >= MIN_STRENGTH and found.bright < RIM and min(found.full, found.clear) >= HALF
-    return plain and model.fits(found.tone, SLACK_RAD)
+    return plain and model.fits(found.tone, slack_rad)
 
 
 def _is(found: Patch, radius_px: float, model: ColourModel) -> bool:

@@ -6,8 +6,8 @@ import cv2
 import numpy as np
 
 from agent.perception.detection.colour import NAMED, Tone, exposed
-from agent.perception.detection.detect import LIMIT, OutlineFit, find_ball, score
-from agent.perception.detection.outline_cone import Patch
+from agent.perception.detection.detect import LIMIT, find_ball, score
+from agent.perception.detection.outline_cone import OutlineFit, Patch
 from tests.perception.painted import CAMERA, ball_light, expose
 
 
@@ -47,7 +47,7 @@ def test_green_has_red_in_water_that_has() -> None:
 
 def test_a_shape_in_doubt_is_believed_sooner_in_a_colour_that_little_else_has() -> None:
     """Three tenths of its outline have no edge, as of a faint ball: too many for a reddish spot, as stones have."""
-    found = Patch(np.ones(3, np.float32), tone(60.0, 0.6, -2.0), -0.5, 0.0, 1.0, 1.0, 0.3)
+    found = Patch((1.0, 1.0, 1.0), tone(60.0, 0.6, -2.0), -0.5, 0.0, 1.0, 1.0, 0.3)
     fit = OutlineFit(np.array([0.0, 0.0, 1.0]), 15.0, 0.3, 0.71, 0.2, 2.0, 1.0, np.ones(96, bool))
     assert score(found, fit, NAMED["red"].rare) < LIMIT < score(found, fit, NAMED["green"].rare)
     sure = fit._replace(agree=1.0)

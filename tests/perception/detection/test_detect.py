@@ -8,8 +8,8 @@ import pytest
 
 from agent.core.ranging.camera_model import CameraFit
 from agent.experiments.dark_water import DarkWater, stand
-from agent.perception.detection.colour import Sample, sampled
-from agent.perception.detection.detect import LIMIT, find_ball, find_balls
+from agent.perception.detection.colour import NAMED, Sample, exposed, sampled
+from agent.perception.detection.detect import LIMIT, find_ball, find_balls, spots
 from agent.perception.detection.detectors import BY_LAMPS
 from tests.perception.painted import CAMERA, ball_frame, ball_light, defocus, expose, grain
 
@@ -169,6 +169,20 @@ def test_a_small_ball_beside_a_large_red_thing(radius_px):
     (ball,) = find_balls(cv2.GaussianBlur(frame, (0, 0), 1.0), CAMERA)
     assert math.dist(ball.centre_px, (300, 200)) < 0.5
     assert ball.radius_px == pytest.approx(radius_px + 0.5, abs=0.7)
+
+
+def test_the_most_convincing_of_two_is_not_the_first_that_is_looked_at():
+    frame = wall(7)
+    cv2.circle(frame, (180, 240), 60, (30, 30, 220), -1, cv2.LINE_AA)
+    cv2.rectangle(frame, (195, 160), (260, 320), (120, 120, 120), -1)  # hides a part of the redder one
+    cv2.circle(frame, (460, 240), 60, (70, 70, 150), -1, cv2.LINE_AA)
+    frame = cv2.GaussianBlur(frame, (0, 0), 1.0)
+    balls = find_balls(frame, CAMERA)
+    assert len(balls) == 2 and balls[0].score < 1.0
+    assert find_ball(frame, CAMERA) == balls[0]
+    assert math.dist(balls[0].centre_px, (460, 240)) < 1.0
+    first, _ = spots(exposed(frame), NAMED["red"])[:2]
+    assert math.dist(first.circle[:2], (180, 240)) < 30.0
 
 
 def lit_circle(light, centre, radius_px):
