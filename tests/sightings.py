@@ -7,7 +7,7 @@ from agent.core.step_io import Sighting
 from agent.perception.vision import Vision
 
 
-def collect(worker: Vision, enough: Callable[[list[Sighting]], bool], limit_s: float = 10.0) -> list[Sighting]:
+def collect(worker: Vision, enough: Callable[[list[Sighting]], bool], limit_s: float = 60.0) -> list[Sighting]:
     """Sightings until enough(sightings)."""
     seen, until = [], time.monotonic() + limit_s
     while not enough(seen):

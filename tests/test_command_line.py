@@ -224,15 +224,15 @@ def test_a_signal_ends_a_command_and_the_processes_that_it_started(
 ) -> None:
     command = [sys.executable, "-m", "agent", "calibrate", "run", TANK, "--robot", "r1", "--out", "r1.toml"]
     with subprocess.Popen(command, cwd=tmp_path, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE) as calibration:
-        deadline_s = time.monotonic() + 20.0
+        deadline_s = time.monotonic() + 60.0
         while not (benches := children(calibration.pid)):
             assert time.monotonic() < deadline_s and calibration.poll() is None
             time.sleep(0.05)
         calibration.send_signal(number)
-        assert calibration.wait(10) == code
+        assert calibration.wait(60) == code
         assert b"Traceback" not in calibration.stderr.read()
     # One that was only just being started was nobody's child yet: its parent watch ends it.
-    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in benches), 4.0)
+    until(lambda: not any(Path(f"/proc/{pid}").exists() for pid in benches))
     assert not any(tmp_path.iterdir())
 
 
@@ -242,10 +242,10 @@ def test_processes_end_with_a_command_that_is_killed() -> None:
     command = [sys.executable, "-m", "agent", "calibrate", "run", TANK, "--robot", "r1", "--out", "r1.toml"]
     with temporary_folder() as folder:  # a short path: there are sockets in it
         with subprocess.Popen(command, cwd=folder, env={**os.environ, "TMPDIR": str(folder)}) as calibration:
-            ready = until(lambda: list(folder.glob("*/ready")), 20.0)
+            ready = until(lambda: list(folder.glob("*/ready")))
             (bench,) = children(calibration.pid)
             calibration.kill()
-        until(lambda: not Path(f"/proc/{bench}").exists(), 4.0)
+        until(lambda: not Path(f"/proc/{bench}").exists())
         assert not ready[0].exists(), "it ended in order, and took its files away"
 
 
@@ -260,9 +260,9 @@ def test_one_that_hangs_when_its_parent_is_gone_ends_too(tmp_path: Path) -> None
         "time.sleep(60)"
     )
     with subprocess.Popen([sys.executable, "-c", parent]) as started:
-        (pid,) = until(lambda: children(started.pid), 10.0)
+        (pid,) = until(lambda: children(started.pid))
         started.kill()
-    until(lambda: not Path(f"/proc/{pid}").exists(), 4.0)
+    until(lambda: not Path(f"/proc/{pid}").exists())
 
 
 def test_who_does_not_end_well_is_told_with_its_last_words(tmp_path: Path) -> None:

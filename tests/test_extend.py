@@ -17,6 +17,30 @@ PAGE = (ROOT / "docs" / "extend.md").read_text(encoding="utf-8")
 BLOCK = re.compile(r"^```(\w+) (\S+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 BLOCKS = BLOCK.findall(PAGE)  # (language, file, text)
 
+# `aucamp check` of one file after the other, in one process, as most of its time goes into its start.
+CHECKS = """
+import sys
+from agent.__main__ import main
+for file in sys.argv[1:]:
+    sys.argv = ["aucamp", "check", file]
+    try:
+        main()
+    except SystemExit:
+        pass
+    sys.stdout.flush()
+    print("\\f", flush=True)
+"""
+OPENS = """
+import sys
+from pathlib import Path
+from hw.camera import open_camera
+for url in sys.argv[1:]:
+    try:
+        open_camera(url, Path(), (640, 480))
+    except Exception as error:
+        print(error)
+"""
+
 
 def blocks(language: str, file: str | None = None) -> list[tuple[str, str]]:
     return [(name, text) for kind, name, text in BLOCKS if kind == language and file in (None, name)]
@@ -36,6 +60,7 @@ class Clone:
 
     def __init__(self, path: Path) -> None:
         self.path = path
+        self._printed: dict[str, str] = {}
         for package in ("agent", "hw", "replay", "router_config"):
             shutil.copytree(ROOT / package, path / package, ignore=shutil.ignore_patterns("__pycache__"))
         (path / "tests").symlink_to(ROOT / "tests")
@@ -43,13 +68,20 @@ class Clone:
     def run(self, *words: str) -> str:
         """What a program prints, errors too."""
         environment = {**os.environ, "PYTHONPATH": str(self.path), "PYTHONDONTWRITEBYTECODE": "1", "COLUMNS": "400"}
-        done = subprocess.run(
-            [sys.executable, *words], cwd=self.path, env=environment, capture_output=True, text=True, timeout=120
-        )
-        return done.stdout + done.stderr
+        about = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
+        done = subprocess.run([sys.executable, *words], cwd=self.path, env=environment, timeout=120, **about)
+        return done.stdout
 
-    def check(self, file: str) -> str:
-        return self.run("-m", "agent", "check", file)
+    def printed(self, program: str) -> str:
+        """By a program of the page, which runs once."""
+        if program not in self._printed:
+            self._printed[program] = self.run(program)
+        return self._printed[program]
+
+    def checks(self, *files: str) -> list[str]:
+        *found, rest = self.run("-c", CHECKS, *files).split("\f\n")
+        assert len(found) == len(files) and not rest, rest
+        return found
 
     @contextmanager
     def edited(self, file: str, old: str, new: str) -> Iterator[None]:
@@ -101,12 +133,12 @@ def test_programs_print_what_the_page_says(clone: Clone) -> None:
     programs = blocks("text")
     assert [name for name, _ in programs] == ["try_blink.py", "try_brightest.py", "try_stills.py"]
     for name, text in programs:
-        printed = clone.run(name)
+        printed = clone.printed(name)
         assert printed.startswith(text) if name == "try_blink.py" else printed == text
 
 
 def test_the_lamp_burns_after_each_sweep_and_as_long_as_the_file_says(clone: Clone) -> None:
-    rows = re.findall(r"([\d.]+) s  (r\d): the lamp is with (\w+), power ([\d.]+)", clone.run("try_blink.py"))
+    rows = re.findall(r"([\d.]+) s  (r\d): the lamp is with (\w+), power ([\d.]+)", clone.printed("try_blink.py"))
     assert {name for _, name, _, _ in rows} == {"r1", "r2"} and len(rows) > 10
     for robot in "r1", "r2":
         own = [(float(at_s), holder, float(power)) for at_s, name, holder, power in rows if name == robot]
@@ -122,16 +154,19 @@ def test_no_lamp_burns_without_the_table(clone: Clone) -> None:
 
 
 def test_what_is_said_of_a_wrong_capability(clone: Clone) -> None:
-    assert "ready to start" in clone.check("fleet.toml")
     wrong = told("key 'extend.blink.power': expected `float` <= 1.0; correct the value")
-    assert wrong in clone.check(clone.fleet("wrong.toml", "[extend.blink]\npower = 6"))
     name = told(
         "key 'extend.blnk': no capability has this table; correct its name, or add the row in agent/robot/arbiter.py"
     )
-    assert name in clone.check(clone.fleet("wrong.toml", "[extend.blnk]"))
     lent = told("key 'extend.blink': its robots lend their lamps to each other; remove this table or [lighting]")
     water = "water = { absorption_per_m = [0.5, 0.4, 0.4], scattering_per_m = [1.8, 1.8, 1.8] }"
-    assert lent in clone.check(clone.fleet("wrong.toml", f"[lighting]\n{water}\n[extend.blink]"))
+    said = clone.checks(
+        "fleet.toml",
+        clone.fleet("power.toml", "[extend.blink]\npower = 6"),
+        clone.fleet("name.toml", "[extend.blnk]"),
+        clone.fleet("lent.toml", f"[lighting]\n{water}\n[extend.blink]"),
+    )
+    assert all(wanted in one for wanted, one in zip(("ready to start", wrong, name, lent), said, strict=True)), said
 
 
 def test_what_is_said_of_rows_that_do_not_fit(clone: Clone) -> None:
@@ -146,28 +181,28 @@ def test_what_is_said_of_rows_that_do_not_fit(clone: Clone) -> None:
 
 
 def test_what_is_said_of_a_wrong_detector(clone: Clone) -> None:
-    sound = clone.check("torch.toml")
+    sound, of_radius, of_cues = clone.checks(
+        "torch.toml",
+        clone.torch("radius.toml", "radius_m = 0.07"),
+        clone.torch("cues.toml", '[ranging]\ncues = "size"'),
+    )
     assert "they look for torch" in sound and re.findall(r"^wrong +(\w+):", sound, re.MULTILINE) == ["twin"]
     radius = told("key 'target.torch.radius_m': only a ball has one; remove it, or correct the detector")
-    assert radius in clone.check(clone.torch("wrong.toml", "radius_m = 0.07"))
+    assert radius in of_radius
     cues = told("key 'ranging.cues': the size of 'torch' is not known; take 'both' or 'focus'")
-    assert cues in clone.check(clone.torch("wrong.toml", '[ranging]\ncues = "size"'))
+    assert cues in of_cues
     choice = told("key 'target.torch.detector': 'brightest' is no choice; write one of ball, box, creature")
     with clone.edited("agent/core/config.py", ', "brightest"]', "]"):
-        assert choice in clone.check("torch.toml")
+        assert choice in clone.run("-m", "agent", "check", "torch.toml")
 
 
 def test_what_is_said_of_a_wrong_camera(clone: Clone) -> None:
-    clone.run("try_stills.py")
+    clone.printed("try_stills.py")
     (clone.path / "empty").mkdir()
-
-    def said(url: str) -> str:
-        opened = f"open_camera({url!r}, Path(), (640, 480))"
-        return clone.run("-c", f"from pathlib import Path; from hw.camera import open_camera; {opened}")
-
+    unknown, none, small = clone.run("-c", OPENS, "still:pictures", "stills:empty", "stills:pictures").splitlines()
     known = "twin:ROBOT, stack:DIR, video:FILE, v4l2:/dev/video0 or NAME, libcamera:0, stills:DIR"
-    assert told(f"camera 'still:pictures': no such kind of camera; write one of {known}") in said("still:pictures")
+    assert told(f"camera 'still:pictures': no such kind of camera; write one of {known}") in unknown
     empty = "no pictures in this folder; it needs a PNG, JPEG, BMP, TIFF or WebP"
-    assert told(f"camera 'stills:empty': empty: {empty}") in said("stills:empty")
+    assert told(f"camera 'stills:empty': empty: {empty}") in none
     size = "delivers 320x240 pixels, not 640x480; correct width_px and height_px under [camera]"
-    assert told(f"camera 'stills:pictures': {size}") in said("stills:pictures")
+    assert told(f"camera 'stills:pictures': {size}") in small

@@ -318,7 +318,7 @@ class Leaving(SystemExit):
         self._number = number
 
     def __del__(self) -> None:
-        if not self.arrived:
+        if not self.arrived and not sys.is_finalizing():  # no thread starts then: start() would wait for ever
             again = Timer(AGAIN_S, _come_again, (self._number,))
             again.daemon = True
             again.start()

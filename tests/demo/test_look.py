@@ -20,6 +20,6 @@ def test_the_page_of_a_demo_is_served_where_the_demo_says(tmp_path: Path) -> Non
     with crew(tmp_path / "logs") as processes:
         line = open_page(fleet, path, processes)
         (address,) = re.findall(r"http://127\.0\.0\.1:\d+/#\S+", line)
-        page = urllib.request.urlopen(address.partition("#")[0], timeout=30).read().decode()
+        page = urllib.request.urlopen(address.partition("#")[0], timeout=60).read().decode()
         processes.check()
     assert "STOP ALL" in page and "nonce" in page

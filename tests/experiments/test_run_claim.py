@@ -18,7 +18,7 @@ from tests.waiting import until
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 
 PURE = (ROWS, "result.json")
-KILLS = 10
+KILLS = 4
 
 
 def content(folder: Path) -> list[bytes]:
@@ -52,7 +52,7 @@ def test_a_run_that_is_killed_and_goes_on_writes_the_same_bytes(tmp_path: Path, 
     rows, result = content(folder)
     assert rows == undisturbed[0]
     assert json.loads(result)["figures"] == json.loads(undisturbed[1])["figures"]
-    until(lambda: not workers(folder), 10.0)
+    until(lambda: not workers(folder))
 
 
 def kill_after(one: subprocess.Popen, folder: Path, count: int) -> None:

@@ -28,8 +28,8 @@ from tests.fuzz.values import of_type
 
 CASES = sorted(cases.FOLDER.glob("*.json"))
 SEED = 15
-MESSAGES = 1000  # to the kernel of each protocol
-PAYLOADS = 300  # to each decoder
+MESSAGES = 400  # to the kernel of each protocol
+PAYLOADS = 100  # to each decoder
 SHORT_S = 14.0  # of a recorded dive: all robots see the target at its end
 PLAN = Plan(Scene("paper", seconds=SHORT_S), "r2", 160, 40, ("r1",), silent=False, quiet=False)
 

@@ -9,7 +9,7 @@ import pytest
 from hw.firmware import failsafe
 from tests.fuzz import firmware_bytes, host_bytes
 
-FRAMES = int(os.environ.get("AUCAMP_FUZZED_FRAMES", "20000"))
+FRAMES = int(os.environ.get("AUCAMP_FUZZED_FRAMES", "5000"))
 SEED = int(os.environ.get("AUCAMP_FUZZ_SEED", "1"))
 
 

@@ -19,6 +19,7 @@ from hw.firmware import bus, wire
 from tests.hw.firmware.nominal_plant import AIR_PA, PA_PER_M
 
 FIRMWARE = Path(wire.__file__).parent
+PATIENCE_S = 60.0  # of the wall: a machine may be busy
 MICROPYTHON = shutil.which("micropython", path=str(Path(sys.executable).parent)) or shutil.which("micropython")
 
 
@@ -52,7 +53,7 @@ class Desk:
 
     def power_on(self) -> None:
         self.bus, theirs = socket.socketpair()
-        self.bus.settimeout(5.0)
+        self.bus.settimeout(PATIENCE_S)
         self.process = subprocess.Popen(
             [self.interpreter, str(FIRMWARE / "main.py"), str(self.master), str(theirs.fileno()), str(self.flash_path)],
             pass_fds=[self.master, theirs.fileno()],
@@ -64,7 +65,7 @@ class Desk:
     def power_off(self) -> int:
         """Close the bus; the exit status of the firmware."""
         self.bus.close()
-        status = self.process.wait(5.0)
+        status = self.process.wait(PATIENCE_S)
         assert self.process.stderr is not None
         self.process.stderr.close()
         return status

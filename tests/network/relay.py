@@ -177,7 +177,7 @@ def packets(tun: int) -> list[bytes]:
 
 
 def ip(*arguments: str) -> None:
-    subprocess.run(["ip", *arguments], check=True, capture_output=True, timeout=10)
+    subprocess.run(["ip", *arguments], check=True, capture_output=True, timeout=60)
 
 
 def refused() -> str | None:
@@ -186,7 +186,7 @@ def refused() -> str | None:
         return "no /dev/net/tun"
     try:
         with Relay(["probe"], set()) as relay:
-            subprocess.run(relay.command("probe", "true"), check=True, capture_output=True, timeout=10)
+            subprocess.run(relay.command("probe", "true"), check=True, capture_output=True, timeout=60)
     except FileNotFoundError:
         return "no `ip` command"
     except PermissionError as error:

@@ -1,4 +1,4 @@
-"""Five real processes in network namespaces: loss, delay, a partition, a hung and a killed agent, clocks hours apart.
+"""Four real processes in network namespaces: loss, delay, a partition, a hung and a killed agent, clocks hours apart.
 
 One swarm lives through all of it, test by test. Zenoh runs over TCP here, so a lost packet shows as delay, and a
 message is lost where the link's queue was full or the connection was given up. tests/experiments loses messages.
@@ -21,7 +21,8 @@ from replay.files.log import read
 from tests.network.relay import Links, Relay, refused
 from tests.network.swarm_in_namespaces import WATCHER, Swarm, used
 
-CLOCK_AHEAD_S = {"r1": 0.0, "r2": 3600.0, "r3": -3600.0, "r4": 7200.0, "r5": 0.0}
+CLOCK_AHEAD_S = {"r1": 0.0, "r2": 3600.0, "r3": -3600.0, "r4": 7200.0}
+APART_S, HUNG_S = 10.0, 5.0  # leases of links are 2 s
 RECENT = 200  # messages to one neighbour: twenty seconds
 NO_NAMESPACES = refused()
 
@@ -60,10 +61,9 @@ def test_clocks_are_hours_apart(swarm) -> None:
     assert all(0.0 <= n.age_s < 60.0 for state in swarm.state.values() for n in state.neighbours)
 
 
-@pytest.mark.parametrize("loss", [0.1, 0.3])
-def test_loss(swarm, loss) -> None:
+def test_loss(swarm) -> None:
     before = swarm.heard(), swarm.relay.count["lost"]
-    swarm.relay.links = Links(loss=loss)
+    swarm.relay.links = Links(loss=0.3)
     swarm.live(*CLOCK_AHEAD_S)
     swarm.until("word from all", lambda: all(n > before[0][pair] for pair, n in swarm.heard().items()))
     assert swarm.relay.count["lost"] > before[1] + 10
@@ -79,15 +79,15 @@ def test_delay_jitter_reordering_and_duplicates(swarm) -> None:
 
 
 def test_partition_and_healing(swarm) -> None:
-    sides = (frozenset({"r1", "r2"}), frozenset({"r3", "r4", "r5"}))
+    sides = (frozenset({"r1", "r2"}), frozenset({"r3", "r4"}))
     began_s = time.monotonic()
     swarm.relay.links = Links(sides=sides)
     swarm.until("two swarms", lambda: all(used(swarm.state[n]) == s - {n} for s in sides for n in s))
     measured = {name: swarm.state[name].measurements for name in CLOCK_AHEAD_S}
-    while time.monotonic() < began_s + 20.0:
+    while time.monotonic() < began_s + APART_S:
         swarm.live(*CLOCK_AHEAD_S, iterations=4)
         assert all(used(swarm.state[n]) <= s for s in sides for n in s)
-    assert all(swarm.state[name].measurements > n + 20 for name, n in measured.items())
+    assert all(swarm.state[name].measurements > n + 10 for name, n in measured.items())
     swarm.relay.links = Links()
     swarm.until("one swarm", swarm.agree)
 
@@ -96,24 +96,24 @@ def test_a_hung_agent_is_left_out_and_comes_back(swarm) -> None:
     others = CLOCK_AHEAD_S.keys() - {"r4"}
     swarm.processes["r4"].send_signal(signal.SIGSTOP)
     try:
-        swarm.until("four", lambda: all(used(swarm.state[n]) == others - {n} for n in others))
+        swarm.until("three", lambda: all(used(swarm.state[n]) == others - {n} for n in others))
         hung_s = time.monotonic()
-        while time.monotonic() < hung_s + 10.0:
+        while time.monotonic() < hung_s + HUNG_S:
             swarm.live(*others, iterations=4)
     finally:
         swarm.processes["r4"].send_signal(signal.SIGCONT)
-    swarm.until("five", swarm.agree)
+    swarm.until("four", swarm.agree)
 
 
 def test_a_killed_agent_starts_again_over_bad_links(swarm) -> None:
     others, before = CLOCK_AHEAD_S.keys() - {"r2"}, swarm.state["r2"].incarnation
     swarm.processes["r2"].kill()
     swarm.processes["r2"].wait()
-    swarm.until("four", lambda: all(used(swarm.state[n]) == others - {n} for n in others))
+    swarm.until("three", lambda: all(used(swarm.state[n]) == others - {n} for n in others))
     swarm.state.pop("r2")
     swarm.relay.links = Links(loss=0.1, delay_s=0.05, jitter_s=0.05)
     swarm.start("r2")
-    swarm.until("five", swarm.agree)
+    swarm.until("four", swarm.agree)
     assert swarm.state["r2"].incarnation != before
 
 
@@ -125,7 +125,7 @@ def test_nothing_was_counted_twice(swarm) -> None:
     for name in CLOCK_AHEAD_S:
         swarm.processes[name].send_signal(signal.SIGTERM)
     for name in CLOCK_AHEAD_S:
-        assert swarm.processes[name].wait(timeout=30.0) == 0
+        assert swarm.processes[name].wait(timeout=60.0) == 0
     said = {path: words(path) for _, path in swarm.boxes if path.exists()}
     sums: dict[tuple[str, int, int], Entry] = {}
     for entry in (e for words_ in said.values() for estimate in words_ for e in estimate.gossip.entries):

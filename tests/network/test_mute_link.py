@@ -23,7 +23,7 @@ PATIENCE_S = 60.0
 LATER_S = 2.0  # a link that does not heal is mute then, too
 
 
-@pytest.mark.parametrize("kind", ["tcp", "tcp over IPv6", "tls"])
+@pytest.mark.parametrize("kind", ["tcp over IPv6", "tls"])
 def test_a_stop_in_the_middle_of_a_handshake_leaves_a_link_that_is_heard(
     make_fleet: Callable[..., Fleet], tmp_path: Path, kind: str
 ) -> None:

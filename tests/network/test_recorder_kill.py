@@ -1,6 +1,6 @@
 """SIGKILL at random moments: the last second may be lost and nothing else, and what is left replays byte for byte.
 
-Three moments by default; AUCAMP_KILLS=50 for the long version, and -s to see what was lost. On the wall: what dies is a
+Two moments by default; AUCAMP_KILLS=50 for the long version, and -s to see what was lost. On the wall: what dies is a
 process, and what it loses is what the machine had not written.
 """
 
@@ -24,7 +24,7 @@ from replay.files.recover import Recovered, recover
 from tests.places import ROOT
 from tests.waiting import until
 
-KILLS = int(os.environ.get("AUCAMP_KILLS", "3"))
+KILLS = int(os.environ.get("AUCAMP_KILLS", "2"))
 LOST_S = 1.0
 AGENT = [sys.executable, "-m", "tests.network.scripted_agent"]
 
@@ -63,11 +63,11 @@ def one_run(fleet: Fleet, folder: Path, lived_s: float) -> tuple[dict[str, float
         for name, process in processes.items():
             killed_ns[name] = time.time_ns()
             process.send_signal(signal.SIGKILL)
-            process.wait(timeout=30)
+            process.wait(timeout=60)
     finally:
         for process in processes.values():
             process.kill()
-            process.wait(timeout=30)
+            process.wait(timeout=60)
     results = {name: recover(path, force=True) for name, path in files.items()}
     lost_s = {name: (killed_ns[name] - newest_ns(path, name)) * 1e-9 for name, path in files.items()}
     return lost_s, results

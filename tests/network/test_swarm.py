@@ -117,7 +117,7 @@ def test_any_one_may_die_and_a_restarted_one_rejoins(tmp_path) -> None:
     with swarm(tmp_path, "r1", "r2", "r3") as it:
         it.start("r1", "r2", "r3")
         it.until("agreement", lambda: it.agree("r1", "r2", "r3"))
-        for round_, victim in enumerate(("r1", "r2", "r3")):
+        for round_, victim in enumerate(("r1", "r2")):  # the one that saw it first, and one that it told
             others = [name for name in it.fleet.robot if name != victim]
             it.processes[victim].kill()
             it.processes[victim].wait()

@@ -81,6 +81,22 @@ def test_a_signal_that_python_drops_comes_again_and_ends_any_verb(how: str) -> N
     assert time.monotonic() - began_s < 40.0
 
 
+# What was raised for a signal is kept until the interpreter ends.
+KEEPS = """
+import builtins, signal
+from agent.process.launch import leave
+try:
+    leave(signal.SIGTERM, None)
+except SystemExit as error:
+    builtins.kept = error
+"""
+
+
+def test_a_signal_that_is_dropped_as_the_interpreter_ends_hangs_nothing() -> None:
+    done = subprocess.run([sys.executable, "-c", KEEPS], capture_output=True, cwd=ROOT, timeout=60.0)
+    assert done.returncode == 0, done.stderr
+
+
 def test_one_signal_asks_and_a_second_one_interrupts() -> None:
     with pytest.raises(KeyboardInterrupt), until_signal() as stop:
         signal.raise_signal(signal.SIGTERM)

@@ -84,7 +84,7 @@ def test_a_frame_that_shows_a_target_makes_the_next_step(monkeypatch, index: int
     thread = Thread(target=runs.run, args=(stop,))
     thread.start()
     try:
-        assert stepped.get(timeout=10.0) == 0
+        assert stepped.get(timeout=60.0) == 0
         runs.show(
             [
                 Sighting(t_ns=1, frame=1, target="ball", found=False),
@@ -92,7 +92,7 @@ def test_a_frame_that_shows_a_target_makes_the_next_step(monkeypatch, index: int
             ]
         )
         if index < 0 and found:
-            assert stepped.get(timeout=10.0) == 1
+            assert stepped.get(timeout=60.0) == 1
         else:
             with pytest.raises(Empty):
                 stepped.get(timeout=0.1)

@@ -71,14 +71,6 @@ def test_a_lamp_that_goes_out_spoils_the_sweep_and_nothing_comes_of_it() -> None
 
 def test_where_nobody_lends_each_sweeps_by_its_own_lamp_alone() -> None:
     world = DarkSurvey(1, replace(HARBOUR, gain=1e9))
-    world.run(18.0)
+    world.run(14.0)
     assert len(world.kept) >= 2
     assert all(kept.lamps == (kept.robot,) and not kept.altered for kept in world.kept)
-
-
-def test_the_same_dive_twice_says_the_same() -> None:
-    one, other = DarkSurvey(4), DarkSurvey(4)
-    for _ in range(100):
-        one.step()
-        other.step()
-        assert one.outputs == other.outputs

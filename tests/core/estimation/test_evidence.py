@@ -53,27 +53,16 @@ def errors_m2(robots):
 @pytest.mark.slow
 def test_a_third_of_all_messages_lost_costs_little_against_one_who_has_everything() -> None:
     ours, best = [], []
-    for world, dive, swarm in dives(12, 10, "geometric", 0.3, "all", 50):
+    for world, dive, swarm in dives(8, 10, "geometric", 0.3, "all", 40):
         ours += errors_m2(swarm.robots)
-        best.append(math.dist(central_m(world, dive, 50), TARGET_M) ** 2)
+        best.append(math.dist(central_m(world, dive, 40), TARGET_M) ** 2)
     assert math.sqrt(np.mean(ours) / np.mean(best)) <= 1.15
 
 
-def test_one_of_three_wrong_by_300_mm_costs_the_others_little() -> None:
-    ours, oracle = [], []
-    honest = slice(1, None)
-    for world, dive, swarm in dives(60, 3, "full", 0.1, "all", 40, outlier_m=0.3, systematic=True):
-        ours += errors_m2(swarm.robots[honest])
-        oracle.append(math.dist(central_m(world, dive, 40, honest), TARGET_M) ** 2)
-    assert math.sqrt(np.mean(ours) / np.mean(oracle)) <= 1.1
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("robots", [3, 5])
-def test_the_stated_covariance_is_honest(robots) -> None:
+def test_the_stated_covariance_is_honest() -> None:
     """Normalised error squared of the agreed place has mean 3; pure sums of samples would give hundreds."""
     nees = []
-    for _, _, swarm in dives(150, robots, "full", 0.0, "all", 10, systematic=True, seed=2):
+    for _, _, swarm in dives(150, 3, "full", 0.0, "all", 10, systematic=True, seed=2):
         x, a = swarm.robots[0].posterior[:2]
         cov = np.array([[a[0], a[1], a[2]], [a[1], a[3], a[4]], [a[2], a[4], a[5]]])
         error = np.subtract(x, TARGET_M)
@@ -138,16 +127,16 @@ def test_what_stopped_changing_still_reaches_everybody_and_is_not_sent_for_ever(
 
 
 def test_more_origins_than_a_message_holds_go_out_in_turns_and_messages_stay_small() -> None:
-    net, random = Net(line(30)), Random(1)
-    net.cut = {(NAMES[28], NAMES[29])}
-    for _ in range(30):
-        net.tick(samples(NAMES[:29], net.now_ns, random))
+    net, random = Net(line(20)), Random(1)
+    net.cut = {(NAMES[18], NAMES[19])}
+    for _ in range(20):
+        net.tick(samples(NAMES[:19], net.now_ns, random))
     net.cut = set()
     for _ in range(4):
         net.tick({})
-    assert len(net.robots[NAMES[28]].say(NAMES[29], net.now_ns).gossip.entries) <= ENTRIES
-    last = net.robots[NAMES[29]].tick(None, net.boxes[NAMES[29]], net.now_ns)
-    assert len(last.explain.votes) == 29
+    assert len(net.robots[NAMES[18]].say(NAMES[19], net.now_ns).gossip.entries) <= ENTRIES
+    last = net.robots[NAMES[19]].tick(None, net.boxes[NAMES[19]], net.now_ns)
+    assert len(last.explain.votes) == 19
     assert max(net.sizes) < MAX_PAYLOAD // 2
 
 
@@ -223,13 +212,12 @@ def run_hash() -> str:
     return digest.hexdigest()
 
 
-@pytest.mark.parametrize("hash_seed", ["0", "4242"])
-def test_same_bytes_in_a_fresh_process_with_another_hash_seed(hash_seed) -> None:
+def test_same_bytes_in_a_fresh_process_with_another_hash_seed() -> None:
     code = "from tests.core.estimation.test_evidence import run_hash; print(run_hash())"
     done = subprocess.run(
         [sys.executable, "-c", code],
         cwd=ROOT,
-        env={**os.environ, "PYTHONHASHSEED": hash_seed},
+        env={**os.environ, "PYTHONHASHSEED": "4242"},
         capture_output=True,
         text=True,
         timeout=60,

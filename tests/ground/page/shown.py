@@ -104,7 +104,7 @@ def served(board: Board, heard: Callable[[dict], None] = lambda message: None) -
     thread = threading.Thread(target=lambda: loop.run_until_complete(serve()))
     thread.start()
     try:
-        assert ready.wait(20)
+        assert ready.wait(60)
 
         def call(function: Callable[[], Any]) -> Any:
             async def wrapped() -> Any:

@@ -256,7 +256,7 @@ def test_machine_code_says_what_python_says():
         words = (0, *[rng.randint(c * 2 // 3, min(65535, c * 4 // 3)) for c in WORDS[1:]])
         rows.append((words, in_water(words, rng.uniform(-2, 45)), rng.choice((0, 1, 2**24 - 1, rng.randrange(2**24)))))
     text = "".join(json.dumps(row) + "\n" for row in rows)
-    ran = subprocess.run([MICROPYTHON, CHECK, FIRMWARE], input=text, capture_output=True, text=True, timeout=30)
+    ran = subprocess.run([MICROPYTHON, CHECK, FIRMWARE], input=text, capture_output=True, text=True, timeout=60)
     theirs = [tuple(map(int, line.split())) for line in ran.stdout.splitlines()]
     mPa, ours = 0, []
     for words, d2, d1 in rows:
@@ -271,7 +271,7 @@ def test_machine_code_says_what_python_says():
 
 @pytest.mark.skipif(MICROPYTHON is None, reason="the MicroPython Unix port is not installed")
 def test_a_cycle_takes_no_memory():
-    ran = subprocess.run([MICROPYTHON, COST, FIRMWARE], capture_output=True, text=True, timeout=30)
+    ran = subprocess.run([MICROPYTHON, COST, FIRMWARE], capture_output=True, text=True, timeout=60)
     assert ran.stdout == "0\n", ran.stderr
 
 

@@ -258,7 +258,7 @@ def test_pulses_are_the_same_on_both_interpreters(tmp_path):
         for interpreter in (sys.executable, MICROPYTHON)
     ]
     ours, theirs = (
-        np.array([line.split() for line in run.communicate(timeout=30)[0].splitlines()], int) for run in runs
+        np.array([line.split() for line in run.communicate(timeout=60)[0].splitlines()], int) for run in runs
     )
     assert ours.shape == theirs.shape == (len(rows), 8)
     assert np.array_equal(ours[:1000], theirs[:1000])
@@ -269,7 +269,7 @@ def cost(law: str, what: str) -> float:
     if MICROPYTHON is None:
         pytest.skip("the MicroPython Unix port is not installed")
     command = [MICROPYTHON, "-X", "heapsize=4M", COST, FIRMWARE, law, "500", what]
-    ran = subprocess.run(command, capture_output=True, text=True, timeout=30, check=True)
+    ran = subprocess.run(command, capture_output=True, text=True, timeout=60, check=True)
     return float(ran.stdout)
 
 

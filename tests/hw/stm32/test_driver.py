@@ -53,17 +53,26 @@ def newest(desk, driver: Stm32) -> Telemetry:
     return drive(desk, driver, lambda: driver.counters.rx_ok > heard + 20)[-1]
 
 
+def stands(desk, driver: Stm32, ladder: int) -> Telemetry:
+    """What the board shows once it is there: on a busy machine it misses set-points, and holds for a moment."""
+    for _ in range(50):
+        shown = newest(desk, driver)
+        if shown.ladder == ladder:
+            return shown
+    raise AssertionError(f"it shows {shown}")
+
+
 def test_arms_after_waiting_for_the_escs(desk, driver):
     driver.arm()
-    telemetry = drive(desk, driver, armed(driver))
+    drive(desk, driver, armed(driver))
     assert any(text.startswith("arming waits") and "ESC" in text for text in desk.said)
-    telemetry += drive(desk, driver, lambda: bool(desk.tick()[-1]))
-    newest = telemetry[-1]
+    drive(desk, driver, lambda: bool(desk.tick()[-1]))
+    newest = stands(desk, driver, failsafe.OK)
     assert newest.depth_m == pytest.approx(0.3, abs=0.001)
     assert newest.sensor_depth_m == pytest.approx((0.3,) * 4, abs=0.001)
     assert newest.servos_us == HOVER.servos_us
     assert newest.battery_v == pytest.approx(15.0)
-    assert newest.flags & wire.FLAG_HELLO and newest.ladder == failsafe.OK
+    assert newest.flags & wire.FLAG_HELLO
     counters = driver.counters
     assert counters.rx_ok > 100 and counters.rx_bad == counters.lost == counters.reconnects == 0
     assert counters.latency_ns is not None and counters.latency_ns > 0
@@ -123,8 +132,8 @@ def test_an_ordered_stop_is_latched_in_the_board_until_an_order_to_arm(desk, dri
     motors.obey(robot.outputs.motors, time.time_ns())
     drive(desk, driver, lambda: not armed(driver)())
     assert desk.tick()[1:9] == (1500,) * 8
-    shown = newest(desk, driver)
-    assert not shown.armed and shown.ladder == failsafe.LATCHED
+    shown = stands(desk, driver, failsafe.LATCHED)
+    assert not shown.armed
     motors.feel((shown,), time.time_ns() + 2 * AGAIN_NS)
     with pytest.raises(AssertionError):
         drive(desk, driver, armed(driver), ticks=500)
@@ -132,8 +141,7 @@ def test_an_ordered_stop_is_latched_in_the_board_until_an_order_to_arm(desk, dri
     assert robot.give("arm").ok
     motors.obey(robot.outputs.motors, time.time_ns())
     drive(desk, driver, armed(driver))
-    shown = newest(desk, driver)
-    assert shown.armed and shown.ladder == failsafe.OK
+    assert stands(desk, driver, failsafe.OK).armed
 
 
 def test_a_stop_of_another_host_lasts_until_the_board_was_rebooted(desk, port):
@@ -153,14 +161,15 @@ def test_a_stop_of_another_host_lasts_until_the_board_was_rebooted(desk, port):
         motors = Motors(driver, arm=True)
         motors.obey("arm", time.time_ns())
         drive(desk, driver, lambda: any("fault latched" in text for text in desk.said))
-        assert newest(desk, driver).ladder == failsafe.LATCHED and motors.fault() is not None
+        drive(desk, driver, lambda: motors.fault() is not None)
+        stands(desk, driver, failsafe.LATCHED)
         assert any("fault latched; look at the robot, then `aucamp board reboot`" in text for text in desk.said)
         rebooted, before = driver.reboot(), driver.greeting
         drive(desk, driver, lambda: rebooted.done() and driver.greeting != before)
         assert rebooted.result().ok
         motors.obey("arm", time.time_ns())
         drive(desk, driver, armed(driver))
-        assert newest(desk, driver).ladder == failsafe.OK
+        stands(desk, driver, failsafe.OK)
         driver.disarm()
         drive(desk, driver, lambda: not armed(driver)())
 

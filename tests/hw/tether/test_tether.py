@@ -270,5 +270,5 @@ def test_the_pulse_frame_is_set_at_boot_and_when_the_parameter_is(board, monkeyp
 
 @pytest.mark.skipif(MICROPYTHON is None, reason="the MicroPython Unix port is not installed")
 def test_telemetry_and_set_points_leave_nothing_in_the_heap():
-    ran = subprocess.run([str(MICROPYTHON), CHECK, FIRMWARE], capture_output=True, text=True, timeout=20)
+    ran = subprocess.run([str(MICROPYTHON), CHECK, FIRMWARE], capture_output=True, text=True, timeout=60)
     assert ran.stdout.split() == ["0", "0"], ran.stderr

@@ -63,7 +63,7 @@ def read(*chunks: bytes) -> tuple[list[tuple[int, int, tuple[Any, ...]]], Any]:
 
 
 def test_golden_vectors(interpreter):
-    ran = subprocess.run([interpreter, CHECK, FIRMWARE, VECTORS], capture_output=True, text=True, timeout=20)
+    ran = subprocess.run([interpreter, CHECK, FIRMWARE, VECTORS], capture_output=True, text=True, timeout=60)
     assert ran.returncode == 0, ran.stderr
     count, schema = ran.stdout.split()
     assert int(count) == len(VECTORS.read_text().splitlines()) > 20

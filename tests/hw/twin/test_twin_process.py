@@ -141,7 +141,7 @@ def serves_and_ends(process, fleet_file, number, stays):
     assert second.seq > first.seq
     assert abs(time.time_ns() - second.t_ns) < 10e9
     process.send_signal(number)
-    assert process.wait(10) == 0
+    assert process.wait(START_S) == 0
     said = process.stderr.read()
     assert said.startswith("twin: ") and "times real time" in said and said.count("\n") == 1
     assert {path.name for path in place.iterdir()} == {"lock", "clock", *stays}

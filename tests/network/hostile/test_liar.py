@@ -36,7 +36,7 @@ from tests.studies.liar.attack import told
 from tests.studies.liar.search import Lies, best_lies, conclusions
 from tests.waiting import until
 
-LIES_S = float(os.environ.get("AUCAMP_LIES_S", "6"))
+LIES_S = float(os.environ.get("AUCAMP_LIES_S", "4"))
 SAY_S = 0.1
 MOVED_M, AFTER_M = 0.030, 0.0025
 HONEST, LIAR = ("r1", "r2"), "r3"

@@ -43,13 +43,20 @@ def digests(folder: Path, name: str, state_ns: int = 200_000_000, workers: int =
     command = [sys.executable, "-m", "pytest", "-p", "tests.golden.step_digest", "--step-digest", str(found)]
     command += ["-p", "no:cacheprovider", "-n", str(workers), "-c", str(ROOT / "pyproject.toml")]
     command += ["--rootdir", str(folder), *map(str, tests)]
-    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=60)
+    done = subprocess.run(command, cwd=ROOT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stdout + done.stderr
     return found
 
 
-def test_they_are_the_same_with_workers_and_without(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    alone, side_by_side = digests(tmp_path, "alone"), digests(tmp_path, "workers", workers=2)
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return digests(tmp_path_factory.mktemp("alone"), "alone")
+
+
+def test_they_are_the_same_with_workers_and_without(
+    alone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    side_by_side = digests(tmp_path, "workers", workers=2)
     found = json.loads(alone.read_text())
     first = {name.partition("test_1_alone.py")[2].strip(" :"): each for name, each in found.items() if "_1_" in name}
     assert sorted(first) == NODES, "steps of a module's fixture have an entry of their own"
@@ -58,9 +65,9 @@ def test_they_are_the_same_with_workers_and_without(tmp_path: Path, capsys: pyte
     assert capsys.readouterr().out == "8 of 8 digests are in both, of 180 steps\n"
 
 
-def test_another_constant_is_another_digest(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    before, after = digests(tmp_path, "before"), digests(tmp_path, "after", state_ns=250_000_000)
-    assert main(str(before), str(after)) == 1
+def test_another_constant_is_another_digest(alone: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    after = digests(tmp_path, "after", state_ns=250_000_000)
+    assert main(str(alone), str(after)) == 1
     said = capsys.readouterr().out
     assert f"only in {after}: test_2_after.py::test_dives[1.0]" in said
     assert "test_1_after.py::test_runs[1.0]" not in said

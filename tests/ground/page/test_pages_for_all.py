@@ -21,7 +21,8 @@ if SPEC is None:
     pytest.skip("axe-core is not installed: pip install axe-playwright-python", allow_module_level=True)
 AXE = (Path(SPEC.origin).parent / "axe.min.js").read_text(encoding="utf-8")
 
-LOOKS = [(390, 844, "light"), (1280, 800, "dark")]
+pytestmark = pytest.mark.timeout(600)
+PHONE, DESK = (390, 844, "light"), (1280, 800, "dark")  # axe takes ten seconds for each page
 
 
 @pytest.fixture(scope="module")
@@ -46,9 +47,7 @@ def complaints(tab: Tab) -> list[str]:
     return [f"{one['id']}: {[node['target'] for node in one['nodes']]}" for one in found["violations"]]
 
 
-@pytest.mark.parametrize(
-    ("name", "width", "height", "scheme"), [("orders", *LOOKS[0]), ("survey", *LOOKS[1])]
-)  # axe takes ten seconds for each
+@pytest.mark.parametrize(("name", "width", "height", "scheme"), [("orders", *PHONE), ("survey", *DESK)])
 def test_a_report(chromium, tmp_path, name, width, height, scheme) -> None:
     page = report(run_of(name, tmp_path), tmp_path / "report.html")
     tab = Tab(chromium, page.as_uri(), viewport={"width": width, "height": height}, color_scheme=scheme)
@@ -57,8 +56,8 @@ def test_a_report(chromium, tmp_path, name, width, height, scheme) -> None:
     tab.page.close()
 
 
-@pytest.mark.parametrize(("width", "height", "scheme"), LOOKS)
-def test_a_recording(chromium, tmp_path, width, height, scheme) -> None:
+def test_a_recording(chromium, tmp_path) -> None:
+    width, height, scheme = PHONE
     with page_process(run_of("orders", tmp_path)) as served:
         tab = Tab(chromium, served.address, viewport={"width": width, "height": height}, color_scheme=scheme)
         tab.says("#came_said", "ball")
@@ -67,8 +66,8 @@ def test_a_recording(chromium, tmp_path, width, height, scheme) -> None:
         tab.page.close()
 
 
-@pytest.mark.parametrize(("width", "height", "scheme"), LOOKS)
-def test_a_fleet_that_is_ordered_about(chromium, tmp_path, width, height, scheme) -> None:
+def test_a_fleet_that_is_ordered_about(chromium, tmp_path) -> None:
+    width, height, scheme = DESK
     address = {name: f"tcp/127.0.0.1:{unused_port()}" for name in ("r1", "r2")}
     robots = {
         name: Robot(
