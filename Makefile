@@ -9,7 +9,7 @@ run: .venv/ready
 	$(BIN)/python -m hw.compiled
 	$(BIN)/aucamp demo --speed max
 
-# A worker more than cores (tests/conftest.py); more than four would wait for the one that has tests/network.
+# More workers would wait for the one that has tests/network (tests/conftest.py).
 test: .venv/ready-test lint
 	$(BIN)/python -m hw.compiled
 	$(BIN)/pytest -n auto --maxprocesses 4 -rs
