@@ -42,6 +42,8 @@ from agent.demo.summary import (
     settled,
     summarize,
     swims,
+    whereabouts,
+    whereabouts_lines,
 )
 from agent.ground.new_fleet import FOLDER, make_all
 from agent.ground.page.server import PORT, websockets_or_why
@@ -288,10 +290,14 @@ def demo(
     with with_spinner(console, "reading the recordings"):
         followed = {target: scored(run, fleet, target) for target in fleet.target if swims(fleet, target)}
     summary = summarize(fleet, histories, truth, machine.monotonic_s() - started_s, followed, survey)
+    if off := whereabouts(run, histories):
+        summary["whereabouts"] = off
     write_whole(run / "summary.json", json.dumps(summary, indent=1) + "\n")
     for target in summary["targets"] if survey is None else ():  # cameras of a survey are not at targets
         console.print(result_table(summary, target))
     for line in survey.lines() if survey is not None else ():
+        console.print(line, highlight=False)
+    for line in whereabouts_lines(off):
         console.print(line, highlight=False)
     return run, summary
 

@@ -18,6 +18,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
+import msgspec
 import numpy as np
 
 from agent.core.capability_messages import Claim
@@ -25,7 +26,7 @@ from agent.core.config import Fleet
 from agent.core.messages import State, Vector
 from agent.core.status import UNRECORDED, fault_kind
 from replay.check.reexecute import black_boxes, open_boxes
-from replay.report.creature_track import SETTLES_NS, CreatureTrack, creature_track, errors
+from replay.report.creature_track import PATHS, SETTLES_NS, CreatureTrack, creature_track, errors, true_ways
 
 # --- how far a survey has come ---
 # How far a survey has come, by what robots tell each other of it.
@@ -130,6 +131,47 @@ class History(NamedTuple):
 
 
 Histories = dict[str, dict[str, History]]  # by target, then by robot
+
+# --- where robots that swim believed to be ---
+
+YAW = 5  # its column in true_ways
+
+
+def whereabouts(run: Path, histories: Histories) -> dict[str, dict[str, float]]:
+    """Of each robot that said where it is: how far off that was, rms over all that it said.
+
+    place_mm and yaw_deg; place_sigmas and yaw_sigmas: the same in the standard deviations that it stated with it, 1
+    where it is as wrong as it says. Empty where nobody knows the truth. Raises ConfigError for a damaged file.
+    """
+    if not (run / PATHS).is_file():
+        return {}
+    off = {}
+    for robot, way in true_ways(run).items():
+        states = [state for of in histories.values() if robot in of for state in of[robot].states]
+        told = {s.sent_ns: s.whereabouts for s in states if s.whereabouts and way.t_ns[0] <= s.sent_ns <= way.t_ns[-1]}
+        if not told:
+            continue
+        place_m, yaw_deg = way.at(list(told))[:, :2], way.at(list(told))[:, YAW]
+        said = np.array([msgspec.structs.astuple(each) for each in told.values()])
+        aside_m = np.hypot(*(said[:, :2] - place_m).T)
+        turned_deg = (said[:, 2] - yaw_deg + 180.0) % 360.0 - 180.0
+        off[robot] = {
+            "place_mm": round(1e3 * _rms(aside_m), 1),
+            "place_sigmas": round(_rms(aside_m / said[:, 3]), 2),
+            "yaw_deg": round(_rms(turned_deg), 2),
+            "yaw_sigmas": round(_rms(turned_deg / said[:, 4]), 2),
+        }
+    return off
+
+
+def whereabouts_lines(off: Mapping[str, Mapping[str, float]]) -> Iterator[str]:
+    """For people."""
+    for robot, by in off.items():
+        yield (
+            f"{robot} believed to be {by['place_mm']:.1f} mm and {by['yaw_deg']:.2f} deg beside where it was, rms: "
+            f"{by['place_sigmas']:.2f} and {by['yaw_sigmas']:.2f} of what it stated"
+        )
+
 
 # --- a target that swims ---
 # What following a target that swims was worth: who saw it when, and how far off its track each robot was.

@@ -382,7 +382,7 @@ def track_causes(folder: Path) -> list[Cause]:
         raise ConfigError(
             f"{folder}: {CREATURES} or {PATHS} is missing; give the folder of a demo, whose twin left them"
         )
-    ways = _true_ways(folder)
+    ways = true_ways(folder)
     said = [bearing for box in boxes for bearing in _said(box, target, track.truth, ways[box.robot])]
     if not said:
         raise ConfigError(f"{folder}: no robot said a bearing of {target}")
@@ -416,8 +416,11 @@ def track_causes(folder: Path) -> list[Cause]:
     ]
 
 
-def _true_ways(folder: Path) -> dict[str, Path3]:
-    """Of each robot: x, y, z (m), roll, pitch, yaw, pan and tilt (degrees), (n, 8)."""
+def true_ways(folder: Path) -> dict[str, Path3]:
+    """Of each robot that swam: x, y, z (m), roll, pitch, yaw, pan and tilt (degrees, without jumps), (n, 8).
+
+    Raises ConfigError for a file that is not there or damaged.
+    """
     columns = ("x_m", "y_m", "z_m", "roll_deg", "pitch_deg", "yaw_deg", "pan_deg", "tilt_deg")
     rows: dict[str, list[tuple[int, list[float]]]] = {}
     with _reading(folder / PATHS), (folder / PATHS).open(encoding="utf-8", newline="") as lines:

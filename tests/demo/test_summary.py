@@ -1,14 +1,26 @@
 """The scores of a run, from made-up states."""
 
 import math
+from pathlib import Path
 
 import pytest
 from msgspec.structs import replace
 
 from agent.core.config import Target
-from agent.core.messages import State
+from agent.core.messages import State, Whereabouts
 from agent.demo.display import verdict
-from agent.demo.summary import History, doubts, first_below, outside_m, reasons, score, settled, summarize
+from agent.demo.summary import (
+    History,
+    doubts,
+    first_below,
+    outside_m,
+    reasons,
+    score,
+    settled,
+    summarize,
+    whereabouts,
+    whereabouts_lines,
+)
 from agent.process.command import fleet_file
 from agent.robot.fleet_reader import load_fleet
 
@@ -143,3 +155,18 @@ def test_who_is_told_of_a_thing_in_a_box_has_settled_too() -> None:
     assert settled([told], after_views=30, window=10, within_m=0.0015, all_see=False)
     assert not settled([told], after_views=30, window=10, within_m=0.0015)
     assert not settled([told], after_views=35, window=10, within_m=0.0015, all_see=False)
+
+
+def test_how_far_off_and_how_honest_a_robot_that_swims_was(tmp_path: Path) -> None:
+    head = "t_ns,robot,x_m,y_m,z_m,roll_deg,pitch_deg,yaw_deg,pan_deg,tilt_deg"
+    rows = [f"{t},r1,{0.1 * t},1.0,0.3,0,0,{yaw},0,0" for t, yaw in ((0, 170.0), (10, -170.0))]
+    (tmp_path / "paths.csv").write_text("\n".join((head, *rows)) + "\n")
+    there = Whereabouts(x_m=0.53, y_m=1.04, yaw_deg=-179.0, place_sigma_m=0.025, yaw_sigma_deg=2.0)
+    after = Whereabouts(x_m=9.0, y_m=9.0, yaw_deg=0.0, place_sigma_m=0.01, yaw_sigma_deg=1.0)
+    states = [state(5, None, whereabouts=there), state(6, None), state(11, None, whereabouts=after)]
+    histories = {"ball": {"r1": History(states), "r2": History([])}}
+    off = whereabouts(tmp_path, histories)
+    assert off == {"r1": {"place_mm": 50.0, "place_sigmas": 2.0, "yaw_deg": 1.0, "yaw_sigmas": 0.5}}
+    (line,) = whereabouts_lines(off)
+    assert line.startswith("r1 believed to be 50.0 mm and 1.00 deg")
+    assert whereabouts(tmp_path / "moored", histories) == {}
