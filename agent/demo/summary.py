@@ -151,10 +151,10 @@ def whereabouts(run: Path, histories: Histories) -> dict[str, dict[str, float]]:
         told = {s.sent_ns: s.whereabouts for s in states if s.whereabouts and way.t_ns[0] <= s.sent_ns <= way.t_ns[-1]}
         if not told:
             continue
-        place_m, yaw_deg = way.at(list(told))[:, :2], way.at(list(told))[:, YAW]
+        truth = way.at(list(told))
         said = np.array([msgspec.structs.astuple(each) for each in told.values()])
-        aside_m = np.hypot(*(said[:, :2] - place_m).T)
-        turned_deg = (said[:, 2] - yaw_deg + 180.0) % 360.0 - 180.0
+        aside_m = np.hypot(*(said[:, :2] - truth[:, :2]).T)
+        turned_deg = (said[:, 2] - truth[:, YAW] + 180.0) % 360.0 - 180.0
         off[robot] = {
             "place_mm": round(1e3 * _rms(aside_m), 1),
             "place_sigmas": round(_rms(aside_m / said[:, 3]), 2),

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from agent.core.ranging.camera_model import Calibration, FocusFit, at_lens_position
 from agent.core.ranging.focus import Array, at_tilt
-from agent.perception.depth_peaks import GridPeaks, measure_growth
+from agent.perception.depth_peaks import COMMON, GridPeaks, measure_growth
 from agent.perception.depth_sweep import DepthMap, clarity_of, measure
 from agent.process.command import Failed
 from hw.camera.camera import Image
@@ -282,7 +282,6 @@ ON_PLANE = 3.0  # sigmas that a block is off the plane of those around it at mos
 FEWEST, WORST = 0.6, 2.0  # share of a square that lies on it; mean squared deviation there, of what is expected
 REACHES = 2, 1  # blocks to each side of the middle one; the larger square where it can be
 SQUARE_M = 0.025  # from the middle of a square to that of its farthest row
-ALIKE = 0.35  # of a block's standard deviation: neighbours are wrong by that alike (depth_peaks.COMMON)
 
 
 class FocusMap(NamedTuple):
@@ -347,7 +346,7 @@ def _shared(vergence: Floats, sigma: Floats, side: float) -> tuple[Floats, Float
     for reach in REACHES:
         plane, doubt = _plane_of(vergence, sigma, reach)
         takes = alone & np.isfinite(plane) & (reach * side <= SQUARE_M * vergence)
-        at[takes], its[takes] = plane[takes], np.hypot(doubt, ALIKE * sigma)[takes]
+        at[takes], its[takes] = plane[takes], np.hypot(doubt, COMMON * sigma)[takes]
         alone &= ~takes
     return at, its
 

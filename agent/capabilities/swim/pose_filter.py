@@ -30,7 +30,7 @@ OF_THRUST, OF_DRAG = 0.15, 0.4  # share, one sigma: thrusters' gains and the mas
 OF_TURN = 0.05  # of the moment, what its own gain, which is learnt, leaves: no two thrusters have the same lag
 ARM_M = 0.003  # of every push, which makes some moment: no two thrusters are alike
 # What a moment is off by while thrusters turn: near zero each gives what its own dead band leaves of a small thrust.
-# In surveys of the twin it is 0.1 rad/s^2, for some tenths of a second, which makes a heading as wrong as this or more.
+# In surveys of the twin a turn is off by 0.1 rad/s^2 for some tenths of a second: as white noise that is this or more.
 DEAD_NM = 0.002
 
 # An ESC's zero is off by some 5 us; where thrusters are kept turning (hw/firmware/thrust.py) that is 0.09 N of each of
