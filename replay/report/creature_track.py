@@ -427,11 +427,12 @@ def true_ways(folder: Path) -> dict[str, Path3]:
         for line in csv.DictReader(lines):
             place = [_finite(line[column]) for column in columns]
             rows.setdefault(line["robot"], []).append((int(line["t_ns"]), place))
+        times = {robot: np.array([t_ns for t_ns, _ in way], np.int64) for robot, way in rows.items()}
     ways = {}
     for robot, way in rows.items():
         places = np.array([place for _, place in way])
         places[:, 3:] = np.degrees(np.unwrap(np.radians(places[:, 3:]), axis=0))
-        ways[robot] = Path3(np.array([t_ns for t_ns, _ in way], np.int64), places)
+        ways[robot] = Path3(times[robot], places)
     return ways
 
 

@@ -44,7 +44,7 @@ from hw.camera.camera import CameraError
 from hw.camera.files import open_stack, read_picture, turned
 from hw.twin.scene import SCENES, load_scene
 from replay.check.compare import load_ignored
-from replay.report.creature_track import _true_boxes, true_path
+from replay.report.creature_track import _true_boxes, true_path, true_ways
 from replay.report.timeline import _summary, _truths
 from tests.fuzz import mutate
 from tests.fuzz.decoder import JSON, TOML, YAML, Decoder, Form
@@ -77,6 +77,7 @@ def decoders() -> tuple[Decoder, ...]:
         Decoder("transforms", partial(refused, "transforms.json", _transforms), _one_of([TRANSFORMS]), JSON),
         Decoder("summary", partial(refused, "summary.json", _told), _one_of([SUMMARY]), JSON),
         Decoder("creatures", partial(refused, "creatures.csv", lambda path: true_path(path.parent, "f")), _creatures),
+        Decoder("paths", partial(refused, "paths.csv", lambda path: true_ways(path.parent)), _paths),
         Decoder("boxes", partial(refused, "boxes.csv", lambda path: _true_boxes(path.parent, "f")), _boxes),
         Decoder("picture", partial(refused, "picture.png", _picture), _pixels),
         Decoder("film", partial(_file, (ConfigError, CameraError), "film.avi", _film), _filmed, slow_s=2.0),
@@ -304,6 +305,14 @@ def _told(path: Path) -> None:
 def _creatures(rng: Random) -> bytes:
     rows = (f"{START_NS + k * STEP_NS},f,{rng.random()},0.5,{rng.choice(('', 0.25))}" for k in range(4))
     return "\n".join(("t_ns,creature,x_m,y_m,z_m", *rows)).encode()
+
+
+def _paths(rng: Random) -> bytes:
+    rows = (
+        f"{START_NS + k * STEP_NS},r{k % 2},{rng.random()},0.5,0.6,0.0,1.0,{179.0 - 9 * k},3.0,-20.0" for k in range(4)
+    )
+    columns = "t_ns,robot,x_m,y_m,z_m,roll_deg,pitch_deg,yaw_deg,pan_deg,tilt_deg"
+    return "\n".join((columns, *rows)).encode()
 
 
 def _boxes(rng: Random) -> bytes:

@@ -49,6 +49,7 @@ FUZZED: dict[str, tuple[str, ...]] = {
     "orders": ("agent.process.transport:self._box.asked",),
     "page.http": ("agent.ground.page.server:Site.answer", "agent.ground.page.server:site.answer"),
     "page.said": ("agent.ground.page.server:Site._take", "agent.ground.page.server:site.socket"),
+    "paths": ("replay.report.creature_track:true_ways",),
     "picture": (
         *(
             f"agent.core.picture_head:{name}"
@@ -112,7 +113,6 @@ SAFE = {  # a module, or one of its readers
     "agent.process.command:with_pictures": "copies bytes",
     "agent.process.transport:came": "reads a key by topics.chunks, as `samples` do",
     "agent.robot.fleet_reader:with_behaviour": "what who starts it types, read as `fleet` is",
-    "replay.report.creature_track:_true_ways": "what the twin wrote, read as `creatures` is",
     "agent.ground.check:fleet_findings": "looks for words in what `fleet` has read",
     "hw.camera.files:rows": "a part of `ranges`, `stack` and `truth`",
     "agent.tools.focus_calibration:check_file": "looks whether there is a table, by read_toml",
