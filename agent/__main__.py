@@ -7,6 +7,7 @@ before it was done, 130 by Ctrl-C.
 from __future__ import annotations
 
 import errno
+import os
 import re
 import signal
 import sys
@@ -91,6 +92,9 @@ def camera_error() -> type[Exception]:
 
 def main() -> None:
     """Run the command line; what a user can cause ends in one line on stderr, without a traceback."""
+    # Read when numpy is loaded. OpenBLAS's other threads spin after each product, which takes more than half of an
+    # agent's time on its cores; and sums do not depend on how many cores there are.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     for number in (signal.SIGTERM, signal.SIGHUP):
         if signal.getsignal(number) is signal.SIG_DFL:  # nohup has it ignored, and means it
             signal.signal(number, leave)

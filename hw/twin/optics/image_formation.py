@@ -112,7 +112,7 @@ LEVELS = 2  # of halving: circles up to 4 * COARSE in radius
 SEGMENT = 32  # pixels of a row that share their sums
 
 FINE_PX, COARSE_PX = np.float32(FINE), np.float32(COARSE)
-QUARTER, NEAR = np.float32(0.25), np.float32(0.75)
+QUARTER, NEAR, TWO = np.float32(0.25), np.float32(0.75), np.float32(2)
 
 
 def circle_gain(lens: Lens, image_distance_m: float) -> float:
@@ -125,57 +125,64 @@ def vergence(lens: Lens, image_distance_m: float) -> float:
     return 1 / lens.focal_m - 1 / image_distance_m
 
 
-def apparent_m(depth_m: Any, index: float, gap_m: float, share: Any = 1.0) -> Any:
-    """Where an object at z-depth `depth_m` seems to be, seen through a port `gap_m` ahead: paraxial, times `nearer`."""
-    return gap_m + (depth_m - gap_m) * share / index
+def apparent_m(depth_m: Any, index: float, gap_m: float) -> Any:
+    """Where an object on the axis at z-depth `depth_m` seems to be, seen through a port `gap_m` ahead."""
+    return gap_m + (depth_m - gap_m) / index
 
 
-def nearer(lens: Lens, image_distance_m: float, index: float, corner: tuple[int, int], size: tuple[int, int]) -> Floats:
-    """(h, w): share of its paraxial distance behind the port at which a pixel's ray, all texture taken together, is
-    sharp. The window refracts by Snell's law, so rays that leave a point a little apart meet nearer the steeper they
-    are: by cos a / cos w across the plane of incidence and by the cube of that within it. Clarity is the mean of both
-    gradients' energies, so its peak is the mean of the two vergences."""
-    x0, y0 = corner
-    height, width = size
-    slope = lens.pixel_m / image_distance_m
-    x = (np.arange(x0, x0 + width) - lens.centre_px[0]) * slope
-    y = (np.arange(y0, y0 + height) - lens.centre_px[1]) * slope
-    r2 = x * x + (y * y)[:, None]
-    stretch = 1.0 + r2 * (lens.k1 + lens.k2 * r2)
-    tan2 = r2 * stretch * stretch  # in air
-    sin2 = tan2 / (1.0 + tan2)
-    across = np.sqrt((1.0 - sin2) / (1.0 - sin2 / index**2))
-    return np.asarray(2.0 / (1.0 / across + 1.0 / across**3), np.float32)
+class Circle(NamedTuple):
+    """What the circles of confusion of a frame follow from, float32."""
 
-
-def aside_m(lens: Lens, corner: tuple[int, int], size: tuple[int, int]) -> Floats | None:
-    """(h, w): how much farther than on the axis the sensor is from what is sharp there; None where it is everywhere as
-    far."""
-    if lens.lean == (0.0, 0.0) and lens.curved_per_m == 0.0:
-        return None
-    (x0, y0), (height, width) = corner, size
-    x = (np.arange(x0, x0 + width) - lens.centre_px[0]) * lens.pixel_m
-    y = ((np.arange(y0, y0 + height) - lens.centre_px[1]) * lens.pixel_m)[:, None]
-    return np.asarray(lens.lean[0] * x + lens.lean[1] * y - lens.curved_per_m * (x * x + y * y), np.float32)
+    image_m: F  # lens to sensor
+    pixel_m: F
+    gap_m: F  # lens to window
+    index: F
+    k1: F
+    k2: F
+    lean_x: F
+    lean_y: F
+    curved_per_m: F
+    left_px: F  # of the first pixel, from where the axis meets the sensor
+    top_px: F
+    gain: F
+    sharp: F  # the vergence that is sharp on the axis
+    largest_px: F
 
 
 def circles(
-    depth_m: Floats,
-    lens: Lens,
-    image_distance_m: float,
-    index: float,
-    largest_px: float,
-    share: Floats | float = 1.0,
-    off_m: Floats | None = None,
+    depth_m: Floats, lens: Lens, image_distance_m: float, index: float, largest_px: float, corner: tuple[int, int]
 ) -> Floats:
-    """Radius of the circle of confusion, px, of each z-depth; at most `largest_px`. share: as `nearer` has it; off_m:
-    as `aside_m`."""
-    gain = np.float32(circle_gain(lens, image_distance_m))
-    sharp: Any = np.float32(vergence(lens, image_distance_m))
-    if off_m is not None:  # d(1/v) = -dv / v^2, to a thousandth of dv
-        sharp = sharp + off_m / np.float32(image_distance_m**2)
-    error = sharp - np.float32(1) / apparent_m(depth_m, index, lens.port_gap_m, share)
-    return np.asarray(np.minimum(gain * np.abs(error), np.float32(largest_px)), np.float32)
+    """Radius of the circle of confusion, px, at most `largest_px`, of each pixel's z-depth (h, w). corner: of the part
+    in the full frame, its first column and row."""
+    left_px, top_px = corner[0] - lens.centre_px[0], corner[1] - lens.centre_px[1]
+    where = (image_distance_m, lens.pixel_m, lens.port_gap_m, index, lens.k1, lens.k2, *lens.lean, lens.curved_per_m)
+    sharp = (circle_gain(lens, image_distance_m), vergence(lens, image_distance_m), largest_px)
+    radius = np.empty_like(depth_m)
+    fill_circles(depth_m, Circle(*map(np.float32, (*where, left_px, top_px, *sharp))), radius)
+    return radius
+
+
+@kernel
+def fill_circles(depth_m: Floats, of: Circle, radius: Floats) -> None:
+    """The window refracts by Snell's law, so rays that leave a point a little apart meet nearer the steeper they are:
+    by cos a / cos w across the plane of incidence, and by the cube of that within it. Clarity is the mean of both
+    gradients' energies, so its peak is the mean of the two vergences."""
+    for row in range(depth_m.shape[0]):
+        y_m = (of.top_px + np.float32(row)) * of.pixel_m
+        for col in range(depth_m.shape[1]):
+            x_m = (of.left_px + np.float32(col)) * of.pixel_m
+            r2_m2 = x_m * x_m + y_m * y_m
+            slope2 = r2_m2 / (of.image_m * of.image_m)
+            stretch = ONE + slope2 * (of.k1 + of.k2 * slope2)
+            tan2 = slope2 * stretch * stretch  # in air
+            sin2 = tan2 / (ONE + tan2)
+            across = math.sqrt((ONE - sin2) / (ONE - sin2 / (of.index * of.index)))
+            share = TWO * across * across * across / (across * across + ONE)
+            # By so much the sensor is farther there than on the axis; d(1/v) = -dv / v^2, to a thousandth of dv.
+            off_m = of.lean_x * x_m + of.lean_y * y_m - of.curved_per_m * r2_m2
+            apparent = of.gap_m + (depth_m[row, col] - of.gap_m) * share / of.index
+            error = of.sharp + off_m / (of.image_m * of.image_m) - ONE / apparent
+            radius[row, col] = min(of.gain * abs(error), of.largest_px)
 
 
 def margin(largest_px: float) -> int:

@@ -21,7 +21,6 @@ from hw.twin.optics.image_formation import (
     METERING_STEP_PX,
     During,
     Exposure,
-    aside_m,
     blur,
     circles,
     coarse,
@@ -29,7 +28,6 @@ from hw.twin.optics.image_formation import (
     gamma_curve,
     margin,
     meter,
-    nearer,
     noise_key,
     normal_quantiles,
     parts_of,
@@ -174,9 +172,7 @@ class Painter:
         view = self._view(middle, image_distance_m)
         x0, y0, w0, h0 = grown(part, margin(LARGEST_PX))
         depth, identity = traced(view, (x0, y0, w0, h0))
-        share = nearer(self._lens, image_distance_m, self._index, (x0, y0), (h0, w0))
-        off_m = aside_m(self._lens, (x0, y0), (h0, w0))
-        radius = circles(depth, self._lens, image_distance_m, self._index, LARGEST_PX, share, off_m)
+        radius = circles(depth, self._lens, image_distance_m, self._index, LARGEST_PX, (x0, y0))
 
         # Tracing is cheap and tells how much of the surroundings the blur really needs.
         inside = np.s_[y - y0 : y - y0 + height, x - x0 : x - x0 + width]

@@ -78,11 +78,14 @@ def test_sharp_exactly_where_the_vergences_meet(gap_m):
     lens, n = LENS._replace(port_gap_m=gap_m), 1.333
     for u in (0.2, 0.45, 1.2):
         v = lens.image_m(1 / apparent_m(u, n, gap_m))
-        radius = circles(np.array([0.9 * u, u, 1.1 * u], np.float32), lens, v, n, 14.0)
+        axis = round(lens.centre_px[0]), round(lens.centre_px[1])
+        radius = np.array(
+            [circles(np.full((1, 1), s * u, np.float32), lens, v, n, 14.0, axis)[0, 0] for s in (0.9, 1.0, 1.1)]
+        )
         assert radius[1] < 1e-4
         assert radius[[0, 2]].min() > 0.05
     assert apparent_m(0.45, n, 0.0) == pytest.approx(0.45 / n)
 
 
 def test_largest_circle_is_a_bound():
-    assert circles(np.array([0.01], np.float32), LENS, LENS.at_rest_m, 1.333, 14.0)[0] == 14.0
+    assert circles(np.full((1, 1), 0.01, np.float32), LENS, LENS.at_rest_m, 1.333, 14.0, (0, 0)) == 14.0
