@@ -92,16 +92,33 @@ def by_views(mesh: Mesh) -> NDArray[np.float32]:
     return np.where((mesh.views > 0)[:, None], colours, GREY)
 
 
-def looked_at(mesh: Mesh, colours: NDArray[np.float32], bearing_deg: float, elevation_deg: float) -> NDArray[np.uint8]:
-    """(height, width, 3) red green blue; only what faces the eye, so that the view goes through walls into a tank."""
+def looked_at(
+    mesh: Mesh, colours: NDArray[np.float32], bearing_deg: float, elevation_deg: float, planes: Planes | None = None
+) -> NDArray[np.uint8]:
+    """(height, width, 3) red green blue; only what faces the eye, so that the view goes through walls into a tank.
+    planes: of the mesh's faces, where more than one view is drawn."""
     stand = _stand(mesh, bearing_deg, elevation_deg)
     b, eye = math.radians(bearing_deg), stand.eye_m
     right = np.array([-math.sin(b), math.cos(b), 0.0])
     rotation: Floats = np.stack([right, np.cross(-stand.back, right), -stand.back], axis=1)
     camera = Camera(F_PX, (WIDTH - 1) / 2.0, (HEIGHT - 1) / 2.0, 0.0, 0.0, WIDTH, HEIGHT)
-    facing = ((eye - mesh.vertices_m[mesh.faces[:, 0]]) * _normals(mesh)).sum(axis=1) > 0.0
+    planes = planes or planes_of(mesh)
+    facing = planes.normals @ eye > planes.offsets
     seen = rendered(mesh._replace(faces=np.ascontiguousarray(mesh.faces[facing])), colours, camera, rotation, eye)
     return encoded(np.where(np.isnan(seen.depth_m)[..., None], GROUND, seen.picture))
+
+
+class Planes(NamedTuple):
+    """Of the faces of a mesh: an eye e sees the front of those with normal . e > offset."""
+
+    normals: Floats  # (n, 3), of any length
+    offsets: Floats  # (n,)
+
+
+def planes_of(mesh: Mesh) -> Planes:
+    a, b, c = (mesh.vertices_m[mesh.faces[:, k]] for k in range(3))
+    normals = np.cross(b - a, c - a)
+    return Planes(normals, (a * normals).sum(axis=1))
 
 
 class Stand(NamedTuple):
@@ -130,13 +147,9 @@ def write_turntable(mesh: Mesh, path: Path, progress: Progress) -> None:
 
 
 def _round(mesh: Mesh) -> Iterator[NDArray[np.uint8]]:
+    planes = planes_of(mesh)
     for n in range(FRAMES):
-        yield looked_at(mesh, mesh.colours, 360.0 * n / FRAMES, ELEVATION_DEG)
-
-
-def _normals(mesh: Mesh) -> Floats:
-    a, b, c = (mesh.vertices_m[mesh.faces[:, k]] for k in range(3))
-    return np.cross(b - a, c - a)
+        yield looked_at(mesh, mesh.colours, 360.0 * n / FRAMES, ELEVATION_DEG, planes)
 
 
 def _mapped(name: str, share: NDArray[np.floating]) -> NDArray[np.float32]:

@@ -245,9 +245,10 @@ def shrunk_frame(image: Image, scale: float, centre_px: tuple[float, float], tim
         size = light.shape[1], light.shape[0]
         warped = cv2.warpAffine(light, there, size, flags=flags, borderMode=cv2.BORDER_REPLICATE)
         light = np.asarray(warped, np.float32)
-    height, width = (length // times for length in light.shape[:2])
-    tiles = light[: height * times, : width * times].reshape(height, times, width, times, 3)
-    return np.asarray(tiles.mean(axis=(1, 3)), np.float32)
+    small = light.shape[1] // times, light.shape[0] // times
+    return np.asarray(
+        cv2.resize(light[: small[1] * times, : small[0] * times], small, interpolation=cv2.INTER_AREA), np.float32
+    )
 
 
 def _shares(squares: Picture, side_px: float, times: int, small: tuple[int, int]) -> Picture:

@@ -258,7 +258,8 @@ def _shading(inside: Light, reach: Array, good: Mask) -> Light:
         return np.ones(len(inside), np.float32)
     # All rays have the same samples, so the fit to all is one around the ball to those of each.
     of_each = inside @ LEVEL_AND_SLOPE
-    within, slope = (AROUND @ cv2.solve(AROUND[good], of_each[good], flags=cv2.DECOMP_QR)[1]).T
+    lit = AROUND[good]
+    within, slope = (AROUND @ cv2.solve(lit.T @ lit, lit.T @ of_each[good], flags=cv2.DECOMP_CHOLESKY)[1]).T
     at_edge = within + slope * (float((1.0 - reach[0]) / (reach[1] - reach[0])) - MIDDLE)
     ratio = np.where(within > 0.0, at_edge / np.where(within > 0.0, within, 1.0), 1.0)
     return np.asarray(np.minimum(np.maximum(ratio, 0.5), 1.5), np.float32)
