@@ -1,4 +1,5 @@
-"""hw/README.md is true: its tables name every parameter, message and file, and what is to be typed runs."""
+"""hw/README.md and docs/control-module.md are true: they name every pin, parameter, message and file, and what is to be
+typed runs."""
 
 from __future__ import annotations
 
@@ -13,6 +14,7 @@ from hw.stm32.driver import TEXTS, Stm32
 from tests.places import ROOT
 
 README = (ROOT / "hw" / "README.md").read_text(encoding="utf-8")
+REFERENCE = (ROOT / "docs" / "control-module.md").read_text(encoding="utf-8")
 PROGRAMS = re.findall(r"```python\n(.*?)```", README, re.DOTALL)
 
 
@@ -21,12 +23,12 @@ def test_every_parameter_with_its_default_and_range():
     for name, default, lowest, highest, _ in parameters.TABLE:
         unit, text = TEXTS[name]
         if not name.startswith("zero_"):
-            assert f"| `{name}` | {unit} | {default:g} | {lowest:g} to {highest:g} | {text} |" in README
+            assert f"| `{name}` | {unit} | {default:g} | {lowest:g} to {highest:g} | {text} |" in REFERENCE
 
 
 def test_every_message_with_its_size():
     for kind, name, _, _ in wire.TABLE:
-        assert f"`0x{kind:02x} {name} {wire.SIZE[kind]} B" in README, name
+        assert f"`0x{kind:02x} {name} {wire.SIZE[kind]} B" in REFERENCE, name
 
 
 def test_every_pin():
@@ -68,7 +70,9 @@ def test_the_bench_s_program_speaks_with_a_board(put_on_desk, capsys):
 
 
 def test_every_path_is_there():
-    paths = set(re.findall(r"`((?:hw|agent)/[\w./]+)`", README)) | set(re.findall(r"\]\((\.\./[\w./-]+\.md)", README))
+    paths = set(re.findall(r"`((?:hw|agent)/[\w./]+)`", README + REFERENCE)) | set(
+        re.findall(r"\]\((\.\./[\w./-]+\.md)", README)
+    )
     assert len(paths) > 6
     assert not [path for path in paths if not (ROOT / "hw" / path if path.startswith("..") else ROOT / path).exists()]
 
