@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import cv2
 import numpy as np
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from rich.console import Console
 
@@ -27,6 +26,9 @@ from agent.tools.focus_calibration import HUBER, Array, CalibrationRefused, chec
 from agent.tools.tags import plain_camera
 from hw.camera.camera import Image
 from hw.camera.files import folder_of_pictures, read_picture, turned
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 MIN_VIEWS = 6  # six unknowns of the camera; fewer views leave focal length and distance entangled
 MAX_RESIDUAL_PX = 1.5  # beyond it the squares are not what was said, or the photographs are blurred
@@ -64,6 +66,8 @@ def print_board(columns: int, rows: int, square_mm: float, out: Path, console: C
 
 def board_figure(columns: int, rows: int, square_mm: float) -> tuple[str, Figure]:
     """The smallest paper that holds the board, and a figure of that size. Raises ConfigError."""
+    from matplotlib.figure import Figure
+
     wide_mm, high_mm = (columns + 1) * square_mm, (rows + 1) * square_mm
     fits = [
         (paper, size)

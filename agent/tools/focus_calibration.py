@@ -9,12 +9,11 @@ import shutil
 from collections.abc import Callable, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import numpy as np
 import tomli_w
-from matplotlib.figure import Figure
 from msgspec.structs import replace
 from numpy.typing import NDArray
 from rich.console import Console
@@ -34,6 +33,9 @@ from agent.core.ranging.focus import (
 )
 from agent.process.command import Failed, free_name
 from hw.camera.files import read_rows
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # --- fits ---
 # Fit what calibration measured: the focus hyperbola. And how such fits are made, on a handful of unknowns: by Gauss-
@@ -485,6 +487,8 @@ def result_table(fit: FocusFit, left_out: Sequence[LeftOut]) -> Table:
 
 def figure(rows: Sequence[FocusRow], fit: FocusFit, left_out: Sequence[LeftOut]) -> Figure:
     """Measurements and curve above, errors below."""
+    from matplotlib.figure import Figure
+
     u, rho = np.array([r.u_m for r in rows]), np.array([r.rho for r in rows])
     ranges = np.linspace(u.min(), u.max(), 300)
     drawn = Figure(figsize=(6, 6))
