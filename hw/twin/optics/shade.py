@@ -100,13 +100,18 @@ def shade(
     # The picture grows with the lens position. A mip level that followed would switch in the middle of a focus sweep,
     # and a surface that changes its texture seems to change its sharpness.
     at_rest = tables.pixel / pixel
+    rays = np.empty((5, depth.shape[1]), np.float32)
     for row in range(depth.shape[0]):
-        for col in range(depth.shape[1]):
+        for col in range(depth.shape[1]):  # several pixels at once, which what follows forbids
             mx, my, a, b = ray(view.optics, x0 + col, y0 + row)
+            u = depth[row, col]
+            rays[0, col], rays[1, col] = mx, my
+            rays[2, col], rays[3, col] = a + u * mx, b + u * my
+            rays[4, col] = math.sqrt(ONE + mx * mx + my * my)
+        for col in range(depth.shape[1]):
             u, who = depth[row, col], identity[row, col]
-            px, py = a + u * mx, b + u * my
+            mx, my, px, py, length = rays[0, col], rays[1, col], rays[2, col], rays[3, col], rays[4, col]
             z = at(camera[2], px, py, u)
-            length = math.sqrt(ONE + mx * mx + my * my)
             material = view.material[who]
             facing, footprint, grain = WALL_LIGHT, u * pixel, ONE
             across = footprint * at_rest  # with foreshortening
