@@ -336,6 +336,8 @@ def network_enhancer(net: LU2Net, variant: Variant) -> Enhancer:
     """A network that is in memory, in one of its three ways."""
     from agent.perception.enhancement import lu2net
 
+    if variant != "fast":
+        lu2net.keep_memory()
     if variant == "plain":
         return Enhancer(variant, sparing(lambda image: lu2net.run(net, image)))
     quick = lu2net.fold(net)
