@@ -2,16 +2,20 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv run test firmware docs outside fuzz lint format clean
+.PHONY: venv run test suite firmware docs outside fuzz lint format clean
 
 venv: .venv/ready
 run: .venv/ready
 	$(BIN)/python -m hw.compiled
 	$(BIN)/aucamp demo --speed max
 
-# More workers would wait for the one that has tests/network (tests/conftest.py).
-test: .venv/ready-test lint
+# One worker has tests/network, which mostly wait (tests/conftest.py): there is time for lint beside it.
+test: .venv/ready-test
 	$(BIN)/python -m hw.compiled
+	$(MAKE) --no-print-directory --jobs 2 lint suite
+
+# More workers would wait for the one that has tests/network.
+suite: .venv/ready-test
 	$(BIN)/pytest -n auto --maxprocesses 4 -rs
 
 # The files that are copied to a board (hw/README.md, "Flash it").
@@ -35,7 +39,7 @@ outside: .venv/ready-test
 lint: .venv/ready-test
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
-	$(BIN)/mypy
+	nice -n 5 $(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/pytest -q tests/test_prose.py
 
