@@ -58,7 +58,7 @@ from agent.process.command import Progress, Show, temporary_folder, with_bar, wi
 from agent.process.launch import crew, wait_for
 from agent.robot.fleet_reader import load_fleet, load_robot
 from agent.tools.camera_calibration import COLUMNS, ROWS, SQUARE_M, Corner, board_points, find_corners, fit_camera
-from agent.tools.focus_calibration import Aside, CalibrationRefused, FocusRow, fit_field, fit_focus
+from agent.tools.focus_calibration import MIN_DISTANCES, Aside, CalibrationRefused, FocusRow, fit_field, fit_focus
 from hw.camera import open_camera
 from hw.camera.camera import Camera, FocusRange, Roi
 from hw.module import open_module
@@ -69,11 +69,12 @@ Wait = Callable[[float], int]  # lets so many seconds pass; returns the time the
 Place = Callable[[Vector | None, tuple[int, int]], None]  # board's centre about the pivot (m), pulses of pan and tilt
 
 NEAREST_M, FARTHEST_M, DISTANCES = 0.22, 1.2, 16  # equal steps of 1/u, as the lens sees them
-SWEEP_PX = (280, 200)  # the picture's middle that a sweep reads: nearly all of the board at the far end
+SWEEP_PX = (280, 200)  # the picture's middle that a sweep reads: of 31 degrees, nearly all of the board at the far end
 WHOLE = (
     6,
     10,
 )  # the distances, counted from 1, at which all of the picture is read: 0.48 and 0.33 m, full of the board
+BESIDE, MOST_WRONG = 6.0, 4  # standard deviations of a peak that is not the board's; how many of DISTANCES may be so
 FEWEST_PLACES = 12  # in these sweeps, to tell three numbers and some to check them with
 WHOLE_FLANKS, WHOLE_STEPS = 1.8, 13  # half widths on either side of the peak of the middle, and pictures
 BLOCKS_ACROSS = 10  # places in a row of the picture that tell how peaks aside differ; they are square
@@ -104,9 +105,10 @@ def calibrate(
     if limits is not None and wait is not None:
         timing = measure_timing(fleet, camera, limits, place, wait)
     timed = TimedCamera(camera, timing, (lambda: 0) if wait is None else (lambda: wait(0.0)))
-    rows, seen_aside = list[FocusRow](), list[SeenAside]()
+    rows, wrong, seen_aside = list[FocusRow](), list[FocusRow](), list[SeenAside]()
     if limits is not None:
         rows, seen_aside = focus_rows(fleet, timed, limits, place, lambda done, _: progress(done, SETTINGS))
+        rows, wrong = told_apart(rows)
         focus = fit_focus(rows)  # near enough to find the board by
     corners: list[Corner] = []
     for done, view in enumerate(views(fleet, timed, focus, place), start=DISTANCES):
@@ -120,10 +122,11 @@ def calibrate(
         focus = with_sag(focus, tilted)
     centre_us = round(fleet.body.servo_centre_us)
     place(None, (centre_us, centre_us))
+    without = f", without {', '.join(f'{row.u_m:.2f} m' for row in wrong)}" if wrong else ""
     return Calibration(
         robot=robot,
         made=datetime.now(UTC).strftime("%Y-%m-%d"),
-        source=f"board of {COLUMNS + 1} x {ROWS + 1} squares before {fleet.robot[robot].camera}",
+        source=f"board of {COLUMNS + 1} x {ROWS + 1} squares before {fleet.robot[robot].camera}{without}",
         focus=focus,
         camera=seen,
         timing=timing,
@@ -157,7 +160,7 @@ def focus_rows(
     centre_us = round(fleet.body.servo_centre_us)
     for done, u_m in enumerate(1.0 / np.linspace(1.0 / FARTHEST_M, 1.0 / NEAREST_M, DISTANCES), start=1):
         approach(place, (float(u_m), 0.0, 0.0), (centre_us, centre_us))
-        peak = board_peak(sweep_middle(fleet, camera, limits))
+        peak = board_peak(within_board(camera, sweep_middle(fleet, camera, limits)))
         if peak is not None:
             rows.append(FocusRow(float(u_m), peak.lens_position, peak.width, peak.sigma))
             if done in WHOLE:
@@ -165,6 +168,33 @@ def focus_rows(
                 aside += [SeenAside(done, float(u_m), px, there) for px, there in found]
         progress(done, DISTANCES)
     return rows, aside
+
+
+def told_apart(rows: Sequence[FocusRow]) -> tuple[list[FocusRow], list[FocusRow]]:
+    """Rows, and those whose peak is not the board's: by far beside what most foretell. The curve through three rows
+    that has the least median of errors (Rousseeuw 1984) says which are most. Raises CalibrationRefused where it leaves
+    out many."""
+    if len(rows) < MIN_DISTANCES:
+        return list(rows), []
+    u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
+    trust = np.minimum(np.median(sigma) / sigma, 1.0)
+    three = np.array(list(itertools.combinations(range(len(rows)), 3)))
+    terms = np.stack([rho, u, np.ones_like(u)], axis=1)  # rho u = u_inf rho + rho0 u + b - rho0 u_inf
+    u_inf, rho0, rest = (np.linalg.pinv(terms[three]) @ (rho * u)[three][..., None])[..., 0].T[:, :, None]
+    with np.errstate(divide="ignore", invalid="ignore"):  # where a curve has its pole
+        off = np.nan_to_num(trust * np.abs(rho0 + (rest + rho0 * u_inf) / (u - u_inf) - rho), nan=np.inf)
+    best = off[np.argmin(np.median(off, axis=1))]
+    fit = fit_focus([row for row, one in zip(rows, best, strict=True) if one <= BESIDE * np.median(best)])
+    beside = [
+        abs(row.rho - lens_position(fit, row.u_m)) * t > BESIDE * fit.noise for row, t in zip(rows, trust, strict=True)
+    ]
+    wrong = list(itertools.compress(rows, beside))
+    if len(wrong) > MOST_WRONG:
+        places = ", ".join(f"{row.u_m:.2f}" for row in wrong)
+        raise CalibrationRefused(
+            f"the peaks at {places} m do not fit the others; let the board stand alone in the picture's middle"
+        )
+    return [row for row in rows if row not in wrong], wrong
 
 
 def tilted_peaks(
@@ -263,6 +293,20 @@ def sweep_board(fleet: Fleet, camera: TimedCamera, limits: FocusRange, part: Roi
         lens_positions.append(camera.lens_position(frame.t_ns) or reported)
         pictures.append(luminance(frame.image))
     return BoardSweep(lens_positions, pictures)
+
+
+def within_board(camera: TimedCamera, swept: BoardSweep) -> BoardSweep:
+    """Of a sweep of the middle the part between the board's outer corners, where a whole picture shows them all: what
+    stands beside a board that is far away has a peak of its own."""
+    clarity = [float(gradient_energy(picture).sum()) for picture in swept.pictures]
+    camera.set_focus(round(swept.lens_positions[int(np.argmax(clarity))]))
+    corners = find_corners(luminance(camera.read(settle_s=max(HOMING_S, camera.homing_s)).image))
+    if not corners:
+        return swept
+    x, y, width, height = middle_of(camera.size)
+    left, top = (np.ceil(np.min(corners, axis=0)).astype(int) - (x, y)).clip(0)
+    right, bottom = (np.floor(np.max(corners, axis=0)).astype(int) - (x, y)).clip(0, (width, height))
+    return swept._replace(pictures=[picture[top:bottom, left:right] for picture in swept.pictures])
 
 
 def board_peak(swept: BoardSweep) -> Peak | None:
@@ -580,7 +624,7 @@ def describe(calibration: Calibration) -> str:
     return (
         f"focus: R² {focus.r2:.4f}, rms {1e3 * focus.rmse_m:.1f} mm, held out {1e3 * focus.held_out_rmse_m:.1f} mm, "
         f"one peak ± {focus.noise:.2f} lens positions, "
-        f"{nearer} ones are nearer\n{seen}"
+        f"{nearer} ones are nearer\nmeasured: {calibration.source}\n{seen}"
     )
 
 

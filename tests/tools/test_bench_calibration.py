@@ -8,22 +8,27 @@ import pytest
 from msgspec.structs import replace
 
 from agent.core.config import Body, Fleet, Pose, Robot, Target
-from agent.core.ranging.camera_model import camera_pose, ray, to_world
+from agent.core.ranging.camera_model import TimingFit, camera_pose, ray, to_world
 from agent.core.ranging.focus import Peak, h
-from agent.perception.vision import movable
+from agent.perception.vision import TimedCamera, movable
 from agent.tools import bench_calibration
 from agent.tools.bench_calibration import (
     SAG_AT_M,
     SAG_TILTS_DEG,
     SETTINGS,
+    SWEEP_PX,
     calibrate,
     describe,
     fit_timing,
+    middle_of,
     setting,
+    sweep_board,
     tilted_peaks,
+    told_apart,
+    within_board,
 )
-from agent.tools.camera_calibration import COLUMNS, ROWS, find_corners
-from agent.tools.focus_calibration import CalibrationRefused
+from agent.tools.camera_calibration import COLUMNS, ROWS, SQUARE_M, find_corners
+from agent.tools.focus_calibration import CalibrationRefused, FocusRow
 from hw.camera.camera import FocusRange, Frame, Roi
 from tests.perception.painted import (
     CAMERA,
@@ -123,6 +128,36 @@ def test_range_is_right_to_a_few_millimetres(measured):
     assert fit.rho0 == pytest.approx(POLE, abs=12)
     assert fit.r2 > 0.999
     assert abs(fit.sag) < 3 * fit.sag_sigma < 6  # the painted lens weighs nothing
+
+
+@pytest.mark.parametrize(("u_m", "of_board"), [(1.2, True), (0.3, False)])
+def test_a_sweep_is_read_on_the_board_alone(fleet, u_m, of_board):
+    """Its inner corners bound what is read of a board that is seen whole; a near one fills what is read."""
+    camera = BenchCamera()
+    camera.place((u_m, 0.0, 0.0), (1500, 1500))
+    timed = TimedCamera(camera, TimingFit(), lambda: 0)
+    swept = sweep_board(fleet, timed, movable(camera), middle_of(camera.size), np.array([100.0, 150.0, 200.0]))
+    read = within_board(timed, swept)
+    size = np.array(read.pictures[0].shape[::-1])
+    across = np.array([COLUMNS - 1, ROWS - 1]) * SQUARE_M * CAMERA.f_px / u_m
+    assert np.abs(size - across).max() < 10 if of_board else (size == SWEEP_PX).all()
+
+
+def rows_of(*off: float) -> list[FocusRow]:
+    """Peaks at 16 distances, the farthest of which are so far beside the curve, lens positions."""
+    far = 1.0 / np.linspace(1.0 / 1.2, 1.0 / 0.22, 16)
+    noise = np.random.default_rng(0).normal(0.0, 0.5, 16)
+    noise[: len(off)] += off
+    return [FocusRow(u, 90.0 + 130.0 / u + more, 200.0) for u, more in zip(far.tolist(), noise.tolist(), strict=True)]
+
+
+def test_peaks_of_what_stands_behind_the_board_are_left_out_and_many_are_refused():
+    assert told_apart(rows_of())[1] == []
+    rows, wrong = told_apart(rows_of(-50.0, -40.0))
+    assert [row.u_m for row in wrong] == [row.u_m for row in rows_of()[:2]]
+    assert len(rows) == 14
+    with pytest.raises(CalibrationRefused, match=r"at 1.20, 0.93, 0.75, 0.63, 0.55 m do not fit"):
+        told_apart(rows_of(-50.0, -45.0, -40.0, -35.0, -30.0))
 
 
 def test_a_tilted_board_is_as_far_as_where_the_middle_of_the_picture_shows_it(fleet, monkeypatch):
