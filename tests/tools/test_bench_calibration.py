@@ -10,9 +10,13 @@ from msgspec.structs import replace
 from agent.core.config import Body, Fleet, Pose, Robot, Target
 from agent.core.ranging.camera_model import TimingFit, camera_pose, ray, to_world
 from agent.core.ranging.focus import Peak, h
+from agent.experiments.ball_measurements import PosedRobot
 from agent.perception.vision import TimedCamera, movable
+from agent.process.command import shipped_fleet
+from agent.robot.fleet_reader import load_fleet
 from agent.tools import bench_calibration
 from agent.tools.bench_calibration import (
+    DISTANCES,
     SAG_AT_M,
     SAG_TILTS_DEG,
     SETTINGS,
@@ -28,8 +32,9 @@ from agent.tools.bench_calibration import (
     within_board,
 )
 from agent.tools.camera_calibration import COLUMNS, ROWS, SQUARE_M, find_corners
-from agent.tools.focus_calibration import CalibrationRefused, FocusRow
+from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus
 from hw.camera.camera import FocusRange, Frame, Roi
+from hw.twin.scene import scene_of
 from tests.perception.painted import (
     CAMERA,
     PER_DIOPTRE,
@@ -141,6 +146,16 @@ def test_a_sweep_is_read_on_the_board_alone(fleet, u_m, of_board):
     size = np.array(read.pictures[0].shape[::-1])
     across = np.array([COLUMNS - 1, ROWS - 1]) * SQUARE_M * CAMERA.f_px / u_m
     assert np.abs(size - across).max() < 10 if of_board else (size == SWEEP_PX).all()
+
+
+@pytest.mark.slow
+def test_a_wall_far_behind_a_small_board_has_no_say():
+    """A camera of 41 degrees, whose sweep of the middle is larger than the board from 0.9 m on."""
+    fleet = load_fleet(shipped_fleet("survey"))
+    robot = PosedRobot(replace(fleet, twin=replace(fleet.twin, seed=13)), "r1", scene_of(fleet).camera)
+    rows, wrong = told_apart(robot.focus_rows())
+    assert (len(rows), wrong) == (DISTANCES, [])
+    assert fit_focus(rows).rmse_m < 0.01
 
 
 def rows_of(*off: float) -> list[FocusRow]:
