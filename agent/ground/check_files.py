@@ -144,6 +144,9 @@ OPEN_FILES = 1024  # that a process may have at once: fifty links in full mesh t
 HOUR_BYTES = 1.2e9  # what a robot records in an hour, at most: 30 MB in the 90 s of a demo
 
 
+LEAST_R2 = 0.9  # of a focus curve: below it some peaks were not the board's
+
+
 def calibration_finding(fleet: Fleet, name: str, path: Path) -> Finding:
     """The camera's calibration. One of the twin is made by each demo for itself."""
 
@@ -154,7 +157,13 @@ def calibration_finding(fleet: Fleet, name: str, path: Path) -> Finding:
     in_twin = fleet.robot[name].camera.startswith("twin:")
     absent = not (path.parent / fleet.robot[name].calibration).exists()
     found = tried(name, read, otherwise="warning" if in_twin and absent else "wrong")
-    return found._replace(text=f"{found.text} (a demo makes its own)") if found.level == "warning" else found
+    if found.level == "warning":
+        return found._replace(text=f"{found.text} (a demo makes its own)")
+    focus = own_calibration(fleet, name, path).focus if found.level == "ok" else None
+    if focus is None or focus.r2 >= LEAST_R2:
+        return found
+    misses = f"its focus curve misses what it was fitted to by {1e3 * focus.rmse_m:.0f} mm rms; calibrate again"
+    return Finding("warning", name, f"{found.text}: {misses}")
 
 
 def key_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:

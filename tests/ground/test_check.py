@@ -14,6 +14,7 @@ from types import SimpleNamespace
 import cv2
 import numpy as np
 import pytest
+from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from agent.__main__ import app
@@ -91,6 +92,15 @@ def test_a_robot_whose_devices_are_there_is_ready(real: Path, port: str, monkeyp
     everywhere = check(real, None, real.parent)
     assert everywhere.robots == 1 and seen == ["r1", "r1"]
     assert any(f"aucamp check {real} --robot r2" in line for line in lines(everywhere, "ok"))
+
+
+def test_a_focus_curve_that_misses_its_own_measurements_is_said(real: Path, port: str) -> None:
+    bad = replace(TWIN, r2=-0.3, rmse_m=0.309)
+    known = Calibration(robot="r1", made="2026-01-01", source="a test", focus=bad, camera=TWIN_CAMERA)
+    checked = changed(real, serial=f'"{port}"')
+    assert not any("calibrate again" in line for line in lines(check(checked, "r1", real.parent), "warning"))
+    (real.parent / "calibration" / "r1.toml").write_text(dump(known))
+    assert any("by 309 mm rms; calibrate again" in line for line in lines(check(checked, "r1", real.parent), "warning"))
 
 
 def test_all_that_is_wrong_is_said_at_once(real: Path, tmp_path: Path) -> None:
