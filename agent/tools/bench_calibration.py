@@ -58,7 +58,15 @@ from agent.process.command import Progress, Show, temporary_folder, with_bar, wi
 from agent.process.launch import crew, wait_for
 from agent.robot.fleet_reader import load_fleet, load_robot
 from agent.tools.camera_calibration import COLUMNS, ROWS, SQUARE_M, Corner, board_points, find_corners, fit_camera
-from agent.tools.focus_calibration import MIN_DISTANCES, Aside, CalibrationRefused, FocusRow, fit_field, fit_focus
+from agent.tools.focus_calibration import (
+    MIN_DISTANCES,
+    Aside,
+    CalibrationRefused,
+    FocusRow,
+    fit_field,
+    fit_focus,
+    fit_timing,
+)
 from hw.camera import open_camera
 from hw.camera.camera import Camera, FocusRange, Roi
 from hw.module import open_module
@@ -70,10 +78,7 @@ Place = Callable[[Vector | None, tuple[int, int]], None]  # board's centre about
 
 NEAREST_M, FARTHEST_M, DISTANCES = 0.22, 1.2, 16  # equal steps of 1/u, as the lens sees them
 SWEEP_PX = (280, 200)  # the picture's middle that a sweep reads: of 31 degrees, nearly all of the board at the far end
-WHOLE = (
-    6,
-    10,
-)  # the distances, counted from 1, at which all of the picture is read: 0.48 and 0.33 m, full of the board
+WHOLE = 6, 10  # the distances, counted from 1, at which all of the picture is read: 0.48 and 0.33 m, full of the board
 BESIDE, MOST_WRONG = 6.0, 4  # standard deviations of a peak that is not the board's; how many of DISTANCES may be so
 FEWEST_PLACES = 12  # in these sweeps, to tell three numbers and some to check them with
 WHOLE_FLANKS, WHOLE_STEPS = 1.8, 13  # half widths on either side of the peak of the middle, and pictures
@@ -185,9 +190,7 @@ def told_apart(rows: Sequence[FocusRow]) -> tuple[list[FocusRow], list[FocusRow]
         off = np.nan_to_num(trust * np.abs(rho0 + (rest + rho0 * u_inf) / (u - u_inf) - rho), nan=np.inf)
     best = off[np.argmin(np.median(off, axis=1))]
     fit = fit_focus([row for row, one in zip(rows, best, strict=True) if one <= BESIDE * np.median(best)])
-    beside = [
-        abs(row.rho - lens_position(fit, row.u_m)) * t > BESIDE * fit.noise for row, t in zip(rows, trust, strict=True)
-    ]
+    beside = trust * np.abs(rho - [lens_position(fit, one) for one in u]) > BESIDE * fit.noise
     wrong = list(itertools.compress(rows, beside))
     if len(wrong) > MOST_WRONG:
         places = ", ".join(f"{row.u_m:.2f}" for row in wrong)
@@ -415,10 +418,6 @@ RESTS_S = 1.0  # until frames show any lens at rest: 0.2 s late, and eight lags 
 FLANK = (-1.2, -0.2)  # half widths from the peak, where a step begins and ends; clarity rises from one to the other
 FLANK_STEPS, TIMED_STEPS, TIMED_FRAMES = 9, 8, 16
 FRAME_S = 1 / 30  # of most cameras; steps begin at each eighth of it
-LATES_S = np.linspace(-0.02, 0.25, 109)  # among which the lateness is looked for, and logarithms of lags
-LOG_LAGS = np.log(np.geomspace(0.001, 0.3, 60))
-LEAST_MISS, MOST_MISS = 0.02, 0.15  # rms of the fit, of a step's change of clarity
-TIME_FLOOR_S = 0.001  # an exposure is no moment, and no lens moves quite so
 
 
 def measure_timing(fleet: Fleet, camera: Camera, limits: FocusRange, place: Place, wait: Wait) -> TimingFit:
@@ -458,46 +457,6 @@ def measure_timing(fleet: Fleet, camera: Camera, limits: FocusRange, place: Plac
             since_s.append(1e-9 * (t_ns - told_ns))
             seen.append(value)
     return fit_timing(positions, curve, np.array(since_s), np.array(seen))
-
-
-def fit_timing(positions: Array, curve: Array, since_s: Array, seen: Array) -> TimingFit:
-    """`curve` (n,): clarity at rest at positions (n,), rising; `seen` (m,): of frames that are stamped since_s (m,)
-    after the lens was told to go from the first position to the last. Raises CalibrationRefused where they do not fit.
-
-    Mean and deviation over all pairs of lateness and lag, each as likely as the frames are with it: a swift lens in
-    frames that are not late shows no more than that both are small.
-    """
-    height, way = float(np.ptp(curve)), positions[-1] - positions[0]
-    lates, lags = LATES_S, LOG_LAGS
-    for _ in range(2):  # roughly, then where it is
-        gone = 1.0 - np.exp(-np.maximum(since_s - lates[:, None, None], 0.0) / np.exp(lags)[:, None])
-        misses = (np.interp(positions[0] + gone * way, positions, curve) - seen) / height
-        cost = np.square(misses).sum(axis=2)  # (lates, lags)
-        rms = math.sqrt(float(cost.min()) / max(len(seen) - 2, 1))
-        likely = np.exp(-0.5 * (cost - cost.min()) / max(rms, LEAST_MISS) ** 2)
-        (late, late_sigma), (lag, lag_sigma) = (
-            _moments(axis, likely.sum(axis=1 - k)) for k, axis in enumerate((lates, lags))
-        )
-        lates, lags = (
-            at + np.linspace(-4.0, 4.0, 81) * max(sigma, 0.5 * float(axis[1] - axis[0]))
-            for at, sigma, axis in ((late, late_sigma, lates), (lag, lag_sigma, lags))
-        )
-    if rms > MOST_MISS:
-        raise CalibrationRefused(
-            f"the lens's timing: pictures are off by {100 * rms:.0f} % of a step's clarity; keep board and light still"
-        )
-    lag_s = math.exp(lag)
-    return TimingFit(
-        stamp_late_s=late,
-        stamp_late_sigma_s=math.hypot(late_sigma, TIME_FLOOR_S),
-        lens_lag_s=lag_s,
-        lens_lag_sigma_s=math.hypot(lag_s * lag_sigma, TIME_FLOOR_S),
-    )
-
-
-def _moments(values: Array, weights: Array) -> tuple[float, float]:
-    mean = float((weights * values).sum() / weights.sum())
-    return mean, math.sqrt(float((weights * (values - mean) ** 2).sum() / weights.sum()))
 
 
 # --- the bench ---
@@ -631,9 +590,7 @@ def describe(calibration: Calibration) -> str:
 def _curving(focus: FocusFit, camera: CameraFit) -> str:
     """How far peaks are moved at the picture's corners."""
     if focus.field is None:
-        return (
-            "not measured, for too little of the picture showed the board; ranges aside are taken for those of the axis"
-        )
+        return "not measured: too little of the picture showed the board; ranges aside are taken for those of the axis"
     sides = (0.0, camera.width_px - 1.0), (0.0, camera.height_px - 1.0)
     moved = [in_direction(focus, camera, corner) for corner in itertools.product(*sides)]
     shifts = [each.rho0 - focus.rho0 for each in moved]

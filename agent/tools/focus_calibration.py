@@ -21,7 +21,7 @@ from rich.table import Table
 
 from agent.core.config import ConfigError, convert, read_toml, write_whole
 from agent.core.linear_algebra import upper
-from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit, offset
+from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit, TimingFit, offset
 from agent.core.ranging.focus import (
     TiltedPeak,
     as_on_axis,
@@ -223,6 +223,54 @@ def _held_out_m(u: Array, rho: Array, trust: Array, distance: float) -> Array:
     p, _, _ = _hyperbola(u[~out], rho[~out], trust[~out])
     error: Array = p[0] + p[1] / (rho[out] - p[2]) - u[out]
     return error
+
+
+# --- the fit of how late frames are stamped, and how slowly the lens goes ---
+
+LATES_S = np.linspace(-0.02, 0.25, 109)  # among which the lateness is looked for, and logarithms of lags
+LOG_LAGS = np.log(np.geomspace(0.001, 0.3, 60))
+LEAST_MISS, MOST_MISS = 0.02, 0.15  # rms of the fit, of a step's change of clarity
+TIME_FLOOR_S = 0.001  # an exposure is no moment, and no lens moves quite so
+
+
+def fit_timing(positions: Array, curve: Array, since_s: Array, seen: Array) -> TimingFit:
+    """`curve` (n,): clarity at rest at positions (n,), rising; `seen` (m,): of frames that are stamped since_s (m,)
+    after the lens was told to go from the first position to the last. Raises CalibrationRefused where they do not fit.
+
+    Mean and deviation over all pairs of lateness and lag, each as likely as the frames are with it: a swift lens in
+    frames that are not late shows no more than that both are small.
+    """
+    height, way = float(np.ptp(curve)), positions[-1] - positions[0]
+    lates, lags = LATES_S, LOG_LAGS
+    for _ in range(2):  # roughly, then where it is
+        gone = 1.0 - np.exp(-np.maximum(since_s - lates[:, None, None], 0.0) / np.exp(lags)[:, None])
+        misses = (np.interp(positions[0] + gone * way, positions, curve) - seen) / height
+        cost = np.square(misses).sum(axis=2)  # (lates, lags)
+        rms = math.sqrt(float(cost.min()) / max(len(seen) - 2, 1))
+        likely = np.exp(-0.5 * (cost - cost.min()) / max(rms, LEAST_MISS) ** 2)
+        (late, late_sigma), (lag, lag_sigma) = (
+            _moments(axis, likely.sum(axis=1 - k)) for k, axis in enumerate((lates, lags))
+        )
+        lates, lags = (
+            at + np.linspace(-4.0, 4.0, 81) * max(sigma, 0.5 * float(axis[1] - axis[0]))
+            for at, sigma, axis in ((late, late_sigma, lates), (lag, lag_sigma, lags))
+        )
+    if rms > MOST_MISS:
+        raise CalibrationRefused(
+            f"the lens's timing: pictures are off by {100 * rms:.0f} % of a step's clarity; keep board and light still"
+        )
+    lag_s = math.exp(lag)
+    return TimingFit(
+        stamp_late_s=late,
+        stamp_late_sigma_s=math.hypot(late_sigma, TIME_FLOOR_S),
+        lens_lag_s=lag_s,
+        lens_lag_sigma_s=math.hypot(lag_s * lag_sigma, TIME_FLOOR_S),
+    )
+
+
+def _moments(values: Array, weights: Array) -> tuple[float, float]:
+    mean = float((weights * values).sum() / weights.sum())
+    return mean, math.sqrt(float((weights * (values - mean) ** 2).sum() / weights.sum()))
 
 
 # --- the calibration file ---

@@ -23,7 +23,6 @@ from agent.tools.bench_calibration import (
     SWEEP_PX,
     calibrate,
     describe,
-    fit_timing,
     middle_of,
     setting,
     sweep_board,
@@ -32,7 +31,7 @@ from agent.tools.bench_calibration import (
     within_board,
 )
 from agent.tools.camera_calibration import COLUMNS, ROWS, SQUARE_M, find_corners
-from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus
+from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus, fit_timing
 from hw.camera.camera import FocusRange, Frame, Roi
 from hw.twin.scene import scene_of
 from tests.perception.painted import (
