@@ -83,6 +83,7 @@ BESIDE, MOST_WRONG = 6.0, 4  # standard deviations of a peak that is not the boa
 FEWEST_PLACES = 12  # in these sweeps, to tell three numbers and some to check them with
 WHOLE_FLANKS, WHOLE_STEPS = 1.8, 13  # half widths on either side of the peak of the middle, and pictures
 BLOCKS_ACROSS = 10  # places in a row of the picture that tell how peaks aside differ; they are square
+LEAST_PX = 32  # across and down, of a part of the board that is read
 FLANKS = 1.5  # half widths on either side of the peak that the grain is fitted over
 EDGE_SHARE, EDGE_RIM_PX = 0.3, 3  # of the steepest slope; leaves a fifth of the picture to the grain at 1.2 m
 HOMING_S = 0.2  # the lens across its whole range
@@ -176,9 +177,8 @@ def focus_rows(
 
 
 def told_apart(rows: Sequence[FocusRow]) -> tuple[list[FocusRow], list[FocusRow]]:
-    """Rows, and those whose peak is not the board's: by far beside what most foretell. The curve through three rows
-    that has the least median of errors (Rousseeuw 1984) says which are most. Raises CalibrationRefused where it leaves
-    out many."""
+    """Rows, and those whose peak is by far beside what most foretell: not the board's. Most are those near the curve of
+    three that has the least median of errors (Rousseeuw 1984). Raises CalibrationRefused for many."""
     if len(rows) < MIN_DISTANCES:
         return list(rows), []
     u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
@@ -299,8 +299,7 @@ def sweep_board(fleet: Fleet, camera: TimedCamera, limits: FocusRange, part: Roi
 
 
 def within_board(camera: TimedCamera, swept: BoardSweep) -> BoardSweep:
-    """Of a sweep of the middle the part between the board's outer corners, where a whole picture shows them all: what
-    stands beside a board that is far away has a peak of its own."""
+    """What lies between the corners of the board, where a whole picture shows them all: walls have peaks, too."""
     clarity = [float(gradient_energy(picture).sum()) for picture in swept.pictures]
     camera.set_focus(round(swept.lens_positions[int(np.argmax(clarity))]))
     corners = find_corners(luminance(camera.read(settle_s=max(HOMING_S, camera.homing_s)).image))
@@ -315,11 +314,12 @@ def within_board(camera: TimedCamera, swept: BoardSweep) -> BoardSweep:
 def board_peak(swept: BoardSweep) -> Peak | None:
     """Where the grain of the board is sharpest, if anywhere.
 
-    Grain, not edges: a board square to the camera has all its edges at one phase of the pixel grid, and the image
-    grows by percents as the lens moves, so edges gain and lose gradient during the sweep. On the twin that scatters
-    peaks by 2.6 lens positions, 5 mm at half a metre; the grain alone repeats to 0.5.
+    Grain, not edges: a board square to the camera has all its edges at one phase of the pixel grid, and the image grows
+    as the lens moves, so edges gain and lose gradient. That scatters peaks by 2.6 lens positions; the grain by 0.5.
     """
     lens_positions, pictures = swept
+    if min(pictures[0].shape) < LEAST_PX:
+        return None
     window = np.outer(*map(np.hanning, pictures[0].shape))  # what grows over the border leaves no step
     energies = [gradient_energy(picture) for picture in pictures]
     clarity = [float((energy * window).sum()) for energy in energies]

@@ -21,6 +21,8 @@ from agent.tools.bench_calibration import (
     SAG_TILTS_DEG,
     SETTINGS,
     SWEEP_PX,
+    BoardSweep,
+    board_peak,
     calibrate,
     describe,
     middle_of,
@@ -155,6 +157,13 @@ def test_a_wall_far_behind_a_small_board_has_no_say():
     rows, wrong = told_apart(robot.focus_rows())
     assert (len(rows), wrong) == (DISTANCES, [])
     assert fit_focus(rows).rmse_m < 0.01
+
+
+def test_a_board_of_which_the_middle_shows_a_strip_has_no_peak():
+    grain_of = np.random.default_rng(0).integers(0, 255, (20, 280), np.uint8)
+    swept = BoardSweep([100.0, 200.0, 300.0], [grain_of // 4, grain_of, grain_of // 4])
+    assert board_peak(swept) is None
+    assert board_peak(swept._replace(pictures=[one[:0] for one in swept.pictures])) is None
 
 
 def rows_of(*off: float) -> list[FocusRow]:
