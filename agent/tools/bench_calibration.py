@@ -83,7 +83,7 @@ BESIDE, MOST_WRONG = 6.0, 4  # standard deviations of a peak that is not the boa
 FEWEST_PLACES = 12  # in these sweeps, to tell three numbers and some to check them with
 WHOLE_FLANKS, WHOLE_STEPS = 1.8, 13  # half widths on either side of the peak of the middle, and pictures
 BLOCKS_ACROSS = 10  # places in a row of the picture that tell how peaks aside differ; they are square
-LEAST_PX = 32  # across and down, of a part of the board that is read
+LEAST_PX, VAGUE = 32, 1 / 6  # of a part of the board that is read; least weight of a peak, 1 is typical
 FLANKS = 1.5  # half widths on either side of the peak that the grain is fitted over
 EDGE_SHARE, EDGE_RIM_PX = 0.3, 3  # of the steepest slope; leaves a fifth of the picture to the grain at 1.2 m
 HOMING_S = 0.2  # the lens across its whole range
@@ -177,8 +177,8 @@ def focus_rows(
 
 
 def told_apart(rows: Sequence[FocusRow]) -> tuple[list[FocusRow], list[FocusRow]]:
-    """Rows, and those whose peak is by far beside what most foretell: not the board's. Most are those near the curve of
-    three that has the least median of errors (Rousseeuw 1984). Raises CalibrationRefused for many."""
+    """Rows, and those whose peak is vague or by far beside what most foretell: not the board's. Most are those near the
+    curve of three that has the least median of errors (Rousseeuw 1984). Raises CalibrationRefused for many."""
     if len(rows) < MIN_DISTANCES:
         return list(rows), []
     u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
@@ -191,7 +191,7 @@ def told_apart(rows: Sequence[FocusRow]) -> tuple[list[FocusRow], list[FocusRow]
     best = off[np.argmin(np.median(off, axis=1))]
     fit = fit_focus([row for row, one in zip(rows, best, strict=True) if one <= BESIDE * np.median(best)])
     beside = trust * np.abs(rho - [lens_position(fit, one) for one in u]) > BESIDE * fit.noise
-    wrong = list(itertools.compress(rows, beside))
+    wrong = list(itertools.compress(rows, beside | (trust < VAGUE)))
     if len(wrong) > MOST_WRONG:
         places = ", ".join(f"{row.u_m:.2f}" for row in wrong)
         raise CalibrationRefused(
