@@ -142,28 +142,24 @@ def links(fleet: Fleet) -> Iterator[Finding]:
 
 OPEN_FILES = 1024  # that a process may have at once: fifty links in full mesh took 119 of them
 HOUR_BYTES = 1.2e9  # what a robot records in an hour, at most: 30 MB in the 90 s of a demo
-
-
 LEAST_R2 = 0.9  # of a focus curve: below it some peaks were not the board's
 
 
 def calibration_finding(fleet: Fleet, name: str, path: Path) -> Finding:
     """The camera's calibration. One of the twin is made by each demo for itself."""
 
-    def read() -> str:
+    try:
         made = own_calibration(fleet, name, path)
-        return f"{fleet.robot[name].calibration}, made {made.made}"
-
-    in_twin = fleet.robot[name].camera.startswith("twin:")
-    absent = not (path.parent / fleet.robot[name].calibration).exists()
-    found = tried(name, read, otherwise="warning" if in_twin and absent else "wrong")
-    if found.level == "warning":
-        return found._replace(text=f"{found.text} (a demo makes its own)")
-    focus = own_calibration(fleet, name, path).focus if found.level == "ok" else None
+    except ConfigError as error:
+        absent = not (path.parent / fleet.robot[name].calibration).exists()
+        if absent and fleet.robot[name].camera.startswith("twin:"):
+            return Finding("warning", name, f"{error} (a demo makes its own)")
+        return Finding("wrong", name, str(error))
+    told, focus = f"{fleet.robot[name].calibration}, made {made.made}", made.focus
     if focus is None or focus.r2 >= LEAST_R2:
-        return found
+        return Finding("ok", name, told)
     misses = f"its focus curve misses what it was fitted to by {1e3 * focus.rmse_m:.0f} mm rms; calibrate again"
-    return Finding("warning", name, f"{found.text}: {misses}")
+    return Finding("warning", name, f"{told}: {misses}")
 
 
 def key_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:

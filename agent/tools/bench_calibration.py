@@ -59,13 +59,13 @@ from agent.process.launch import crew, wait_for
 from agent.robot.fleet_reader import load_fleet, load_robot
 from agent.tools.camera_calibration import COLUMNS, ROWS, SQUARE_M, Corner, board_points, find_corners, fit_camera
 from agent.tools.focus_calibration import (
-    MIN_DISTANCES,
     Aside,
     CalibrationRefused,
     FocusRow,
     fit_field,
     fit_focus,
     fit_timing,
+    told_apart,
 )
 from hw.camera import open_camera
 from hw.camera.camera import Camera, FocusRange, Roi
@@ -79,11 +79,10 @@ Place = Callable[[Vector | None, tuple[int, int]], None]  # board's centre about
 NEAREST_M, FARTHEST_M, DISTANCES = 0.22, 1.2, 16  # equal steps of 1/u, as the lens sees them
 SWEEP_PX = (280, 200)  # the picture's middle that a sweep reads: of 31 degrees, nearly all of the board at the far end
 WHOLE = 6, 10  # the distances, counted from 1, at which all of the picture is read: 0.48 and 0.33 m, full of the board
-BESIDE, MOST_WRONG = 6.0, 4  # standard deviations of a peak that is not the board's; how many of DISTANCES may be so
 FEWEST_PLACES = 12  # in these sweeps, to tell three numbers and some to check them with
 WHOLE_FLANKS, WHOLE_STEPS = 1.8, 13  # half widths on either side of the peak of the middle, and pictures
 BLOCKS_ACROSS = 10  # places in a row of the picture that tell how peaks aside differ; they are square
-LEAST_PX, VAGUE = 32, 1 / 6  # of a part of the board that is read; least weight of a peak, 1 is typical
+LEAST_PX = 32  # across and down, of a part of the board that is read
 FLANKS = 1.5  # half widths on either side of the peak that the grain is fitted over
 EDGE_SHARE, EDGE_RIM_PX = 0.3, 3  # of the steepest slope; leaves a fifth of the picture to the grain at 1.2 m
 HOMING_S = 0.2  # the lens across its whole range
@@ -174,30 +173,6 @@ def focus_rows(
                 aside += [SeenAside(done, float(u_m), px, there) for px, there in found]
         progress(done, DISTANCES)
     return rows, aside
-
-
-def told_apart(rows: Sequence[FocusRow]) -> tuple[list[FocusRow], list[FocusRow]]:
-    """Rows, and those whose peak is vague or by far beside what most foretell: not the board's. Most are those near the
-    curve of three that has the least median of errors (Rousseeuw 1984). Raises CalibrationRefused for many."""
-    if len(rows) < MIN_DISTANCES:
-        return list(rows), []
-    u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
-    trust = np.minimum(np.median(sigma) / sigma, 1.0)
-    three = np.array(list(itertools.combinations(range(len(rows)), 3)))
-    terms = np.stack([rho, u, np.ones_like(u)], axis=1)  # rho u = u_inf rho + rho0 u + b - rho0 u_inf
-    u_inf, rho0, rest = (np.linalg.pinv(terms[three]) @ (rho * u)[three][..., None])[..., 0].T[:, :, None]
-    with np.errstate(divide="ignore", invalid="ignore"):  # where a curve has its pole
-        off = np.nan_to_num(trust * np.abs(rho0 + (rest + rho0 * u_inf) / (u - u_inf) - rho), nan=np.inf)
-    best = off[np.argmin(np.median(off, axis=1))]
-    fit = fit_focus([row for row, one in zip(rows, best, strict=True) if one <= BESIDE * np.median(best)])
-    beside = trust * np.abs(rho - [lens_position(fit, one) for one in u]) > BESIDE * fit.noise
-    wrong = list(itertools.compress(rows, beside | (trust < VAGUE)))
-    if len(wrong) > MOST_WRONG:
-        places = ", ".join(f"{row.u_m:.2f}" for row in wrong)
-        raise CalibrationRefused(
-            f"the peaks at {places} m do not fit the others; let the board stand alone in the picture's middle"
-        )
-    return [row for row in rows if row not in wrong], wrong
 
 
 def tilted_peaks(
@@ -302,7 +277,7 @@ def within_board(camera: TimedCamera, swept: BoardSweep) -> BoardSweep:
     """What lies between the corners of the board, where a whole picture shows them all: walls have peaks, too."""
     clarity = [float(gradient_energy(picture).sum()) for picture in swept.pictures]
     camera.set_focus(round(swept.lens_positions[int(np.argmax(clarity))]))
-    corners = find_corners(luminance(camera.read(settle_s=max(HOMING_S, camera.homing_s)).image))
+    corners = find_corners(resting(camera))
     if not corners:
         return swept
     x, y, width, height = middle_of(camera.size)
@@ -380,7 +355,7 @@ def views(fleet: Fleet, camera: TimedCamera, focus: FocusFit | None, place: Plac
             found: list[Corner] = []
             for wanted in lens_of_view(focus, math.hypot(*board_m), straight=pan_deg == tilt_deg == 0.0):
                 reached = 0 if wanted is None else camera.set_focus(wanted)
-                grey = luminance(camera.read(settle_s=max(HOMING_S, camera.homing_s)).image)
+                grey = resting(camera)
                 pairs = zip(board_points(board_m), find_corners(grey), strict=False)
                 found += [Corner(us, point, px, float(reached), k) for k, (point, px) in enumerate(pairs)]
             yield found
@@ -404,6 +379,11 @@ def home(camera: TimedCamera, limits: FocusRange, roi: Roi) -> None:
     """Bring the lens to rest at its smallest position."""
     camera.set_focus(limits.lowest)
     camera.read(roi, settle_s=max(HOMING_S, camera.homing_s))
+
+
+def resting(camera: TimedCamera) -> NDArray[np.uint8]:
+    """The whole picture, grey, once the lens has come to rest."""
+    return luminance(camera.read(settle_s=max(HOMING_S, camera.homing_s)).image)
 
 
 # --- timing ---

@@ -4,6 +4,7 @@ The fits that calibration uses, and the calibration file with its parts.
 
 from __future__ import annotations
 
+import itertools
 import math
 import shutil
 from collections.abc import Callable, Sequence
@@ -48,6 +49,8 @@ Array = NDArray[np.float64]
 
 MIN_DISTANCES = 6  # three unknowns, and some to check them with
 MIN_SPAN_PER_M = 2.0  # of 1/u: a shorter arc of a hyperbola is a straight line
+BESIDE, VAGUE = 6.0, 1 / 6  # standard deviations of a wrong peak; least weight of any, where 1 is typical
+MOST_WRONG = 4  # distances
 HUBER = 1.5  # residuals beyond so many standard deviations pull with constant force
 HUBER_SHARE = 0.778  # what that leaves of the variance of Gaussian residuals
 PASSES = 25
@@ -151,6 +154,30 @@ def leave_one_out(rows: Sequence[FocusRow]) -> list[LeftOut]:
     u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
     errors = ((d, _held_out_m(u, rho, float(np.median(sigma)) / sigma, d)) for d in sorted({float(d) for d in u}))
     return [LeftOut(d, math.sqrt(float((e * e).mean()))) for d, e in errors]
+
+
+def told_apart(rows: Sequence[FocusRow]) -> tuple[list[FocusRow], list[FocusRow]]:
+    """Rows, and those whose peak is vague or by far beside what most foretell: not the board's. Most are those near the
+    curve of three that has the least median of errors (Rousseeuw 1984). Raises CalibrationRefused for many."""
+    if len(rows) < MIN_DISTANCES:
+        return list(rows), []
+    u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
+    trust = np.minimum(np.median(sigma) / sigma, 1.0)
+    three = np.array(list(itertools.combinations(range(len(rows)), 3)))
+    terms = np.stack([rho, u, np.ones_like(u)], axis=1)  # rho u = u_inf rho + rho0 u + b - rho0 u_inf
+    u_inf, rho0, rest = (np.linalg.pinv(terms[three]) @ (rho * u)[three][..., None])[..., 0].T[:, :, None]
+    with np.errstate(divide="ignore", invalid="ignore"):  # where a curve has its pole
+        off = np.nan_to_num(trust * np.abs(rho0 + (rest + rho0 * u_inf) / (u - u_inf) - rho), nan=np.inf)
+    best = off[np.argmin(np.median(off, axis=1))]
+    fit = fit_focus([row for row, one in zip(rows, best, strict=True) if one <= BESIDE * np.median(best)])
+    beside = trust * np.abs(rho - [lens_position(fit, one) for one in u]) > BESIDE * fit.noise
+    wrong = list(itertools.compress(rows, beside | (trust < VAGUE)))
+    if len(wrong) > MOST_WRONG:
+        places = ", ".join(f"{row.u_m:.2f}" for row in wrong)
+        raise CalibrationRefused(
+            f"the peaks at {places} m do not fit the others; let the board stand alone in the picture's middle"
+        )
+    return [row for row in rows if row not in wrong], wrong
 
 
 def solve(A: Array, b: Array) -> Array:

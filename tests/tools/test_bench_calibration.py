@@ -29,11 +29,10 @@ from agent.tools.bench_calibration import (
     setting,
     sweep_board,
     tilted_peaks,
-    told_apart,
     within_board,
 )
 from agent.tools.camera_calibration import COLUMNS, ROWS, SQUARE_M, find_corners
-from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus, fit_timing
+from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus, fit_timing, told_apart
 from hw.camera.camera import FocusRange, Frame, Roi
 from hw.twin.scene import scene_of
 from tests.perception.painted import (
