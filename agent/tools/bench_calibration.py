@@ -52,7 +52,7 @@ from agent.core.ranging.focus import (
     with_sag,
 )
 from agent.core.step_io import SetPoint
-from agent.perception.depth_peaks import gradient_energy, luminance
+from agent.perception.depth_peaks import gradient_energy, luminance, measure_growth
 from agent.perception.vision import TimedCamera, movable
 from agent.process.command import Progress, Show, temporary_folder, with_bar, with_spinner
 from agent.process.launch import crew, wait_for
@@ -78,7 +78,7 @@ Place = Callable[[Vector | None, tuple[int, int]], None]  # board's centre about
 
 NEAREST_M, FARTHEST_M, DISTANCES = 0.22, 1.2, 16  # equal steps of 1/u, as the lens sees them
 SWEEP_PX = (280, 200)  # the picture's middle that a sweep reads: of 31 degrees, nearly all of the board at the far end
-WHOLE = 6, 10  # the distances, counted from 1, at which all of the picture is read: 0.48 and 0.33 m, full of the board
+WHOLE = range(6, DISTANCES + 1)  # the distances, counted from 1, at which all of the picture is read: from 0.48 m on
 FEWEST_PLACES = 12  # in these sweeps, to tell three numbers and some to check them with
 WHOLE_FLANKS, WHOLE_STEPS = 1.8, 13  # half widths on either side of the peak of the middle, and pictures
 BLOCKS_ACROSS = 10  # places in a row of the picture that tell how peaks aside differ; they are square
@@ -314,14 +314,26 @@ def board_peak(swept: BoardSweep) -> Peak | None:
 
 
 def peaks_aside(swept: BoardSweep) -> list[tuple[tuple[float, float], Peak]]:
-    """Peaks of the grain all over the picture, which was read whole, by blocks, with their middles."""
-    height, width = swept.pictures[0].shape
+    """Peaks of the grain all over the picture, which was read whole, by blocks, with their middles.
+
+    The picture grows as the lens moves, and a block goes with the piece of the board that it shows in the midst of the
+    sweep: else brighter or coarser pieces that come into it move its peak.
+    """
+    lens_positions, pictures = swept
+    height, width = pictures[0].shape
     side, found = width // BLOCKS_ACROSS, list[tuple[tuple[float, float], Peak]]()
+    growth = measure_growth(pictures) or 0.0  # unknown: as good as any
+    size = 1.0 + growth * np.linspace(-0.5, 0.5, len(pictures))
     for top, left in itertools.product(range(0, height - side + 1, side), range(0, width - side + 1, side)):
-        here = np.s_[top : top + side, left : left + side]
-        peak = board_peak(BoardSweep(swept.lens_positions, [picture[here] for picture in swept.pictures]))
+        middle_px = left + (side - 1) / 2, top + (side - 1) / 2
+        xs, ys = (
+            np.clip(np.rint(first + (size - 1.0) * (middle - (of - 1) / 2)), 0, of - side).astype(int)
+            for first, middle, of in zip((left, top), middle_px, (width, height), strict=True)
+        )
+        blocks = [picture[y : y + side, x : x + side] for picture, x, y in zip(pictures, xs, ys, strict=True)]
+        peak = board_peak(BoardSweep(lens_positions, blocks))
         if peak is not None:
-            found.append(((left + (side - 1) / 2, top + (side - 1) / 2), peak))
+            found.append((middle_px, peak))
     return found
 
 

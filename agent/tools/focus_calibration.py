@@ -66,7 +66,9 @@ class FocusRow(NamedTuple):
     u_m: float
     rho: float
     width: float
-    sigma: float = 1.0  # standard deviation of rho beside that of the other rows; the scale is found from the residuals
+    sigma: float = (
+        1.0  # standard deviation of rho, as far as the peak tells; the fit finds its scale from the residuals
+    )
 
 
 class CalibrationRefused(Failed):
@@ -169,8 +171,10 @@ def told_apart(rows: Sequence[FocusRow]) -> tuple[list[FocusRow], list[FocusRow]
     with np.errstate(divide="ignore", invalid="ignore"):  # where a curve has its pole
         off = np.nan_to_num(trust * np.abs(rho0 + (rest + rho0 * u_inf) / (u - u_inf) - rho), nan=np.inf)
     best = off[np.argmin(np.median(off, axis=1))]
-    fit = fit_focus([row for row, one in zip(rows, best, strict=True) if one <= BESIDE * np.median(best)])
-    beside = trust * np.abs(rho - [lens_position(fit, one) for one in u]) > BESIDE * fit.noise
+    least = float(np.median(sigma))  # of the noise: a few may lie on one curve by chance
+    near = best <= BESIDE * max(float(np.median(best)), least)
+    fit = fit_focus([*itertools.compress(rows, near)])
+    beside = trust * np.abs(rho - [lens_position(fit, one) for one in u]) > BESIDE * max(fit.noise, least)
     wrong = list(itertools.compress(rows, beside | (trust < VAGUE)))
     if len(wrong) > MOST_WRONG:
         places = ", ".join(f"{row.u_m:.2f}" for row in wrong)

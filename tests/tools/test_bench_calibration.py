@@ -26,6 +26,7 @@ from agent.tools.bench_calibration import (
     calibrate,
     describe,
     middle_of,
+    peaks_aside,
     setting,
     sweep_board,
     tilted_peaks,
@@ -166,6 +167,25 @@ def test_a_board_of_which_the_middle_shows_a_strip_has_no_peak():
     assert board_peak(swept._replace(pictures=[one[:0] for one in swept.pictures])) is None
 
 
+def growing(lens_positions: np.ndarray, growth: float, sharp_at: float) -> list[np.ndarray]:
+    """Grey pictures of grain, five times as strong at the top, that grow by so much about their middle."""
+    texture = 0.4 * (1 + np.geomspace(0.5, 0.1, 480)[:, None] * grain((480, 640), 1))
+    pictures = []
+    for size, rho in zip(1 + growth * np.linspace(-0.5, 0.5, len(lens_positions)), lens_positions, strict=True):
+        move = np.array([[size, 0, 319.5 * (1 - size)], [0, size, 239.5 * (1 - size)]])
+        light = cv2.warpAffine(texture, move, (640, 480), flags=cv2.INTER_CUBIC, borderMode=cv2.BORDER_REFLECT_101)
+        pictures.append(expose(defocus(light, PX_PER_POSITION * abs(rho - sharp_at)), int(rho)))
+    return pictures
+
+
+def test_a_place_in_a_picture_that_grows_keeps_its_piece_of_the_board():
+    lens_positions = np.linspace(200.0, 600.0, 13)
+    found = peaks_aside(BoardSweep(lens_positions.tolist(), growing(lens_positions, 0.03, 403.0)))
+    down, rho = (np.array(each) for each in zip(*((px[1], peak.lens_position) for px, peak in found), strict=True))
+    assert len(found) > 20
+    assert abs(np.median(rho[down < 200]) - np.median(rho[down > 280])) < 5.0  # 19 of blocks that stay where they are
+
+
 def rows_of(*off: float) -> list[FocusRow]:
     """Peaks at 16 distances, the farthest of which are so far beside the curve, lens positions."""
     far = 1.0 / np.linspace(1.0 / 1.2, 1.0 / 0.22, 16)
@@ -181,6 +201,10 @@ def test_peaks_of_what_stands_behind_the_board_are_left_out_and_many_are_refused
     assert len(rows) == 14
     first, *others = rows_of()
     assert told_apart([first._replace(sigma=10.0), *others])[1] == [first._replace(sigma=10.0)], "vague"
+    on_curve = rows_of(
+        *(-np.random.default_rng(0).normal(0.0, 0.5, 16)[:9])
+    )  # to the last digit, as chance may have it
+    assert told_apart(on_curve)[1] == []
     with pytest.raises(CalibrationRefused, match=r"at 1.20, 0.93, 0.75, 0.63, 0.55 m do not fit"):
         told_apart(rows_of(-50.0, -45.0, -40.0, -35.0, -30.0))
 
