@@ -220,7 +220,8 @@ def head(file: Path) -> Head:
 # --- re-execution ---
 
 TOLERANCE = 1e-9  # relative or absolute: a thousand times what rounding leaves, a millionth of what a measurement means
-CPU_CLASS = ("machine", "cpu.features")  # entries of the header that decide how floats are added up
+# Entries of the header that decide how floats are added up. Two models with the same features differ by an ULP.
+CPU_CLASS = ("machine", "cpu", "cpu.features")
 SHOWN = ("python", "commit", "dirty", *CPU_CLASS, "blas", "version.aucamp", "version.numpy", "version.msgspec")
 
 Verdict = Literal["identical", "within tolerance", "differs", "cannot check"]
