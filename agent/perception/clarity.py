@@ -18,6 +18,7 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -470,3 +471,48 @@ def _derivatives(x: Array, x0: float, w: float, model: Array) -> None:
 def _ratio(numerator: float, denominator: float) -> float:
     ratio = numerator / (1e-300 if denominator == 0.0 else denominator)
     return 0.0 if np.isnan(ratio) else min(max(ratio, -1e300), 1e300)
+
+
+# --- luminance and gradient of a whole picture, by OpenCV ---
+
+Grey = NDArray[np.uint8]  # (height, width)
+
+
+def luminance(image: NDArray[np.uint8]) -> Grey:
+    """(height, width, 3) blue green red, or already grey -> (height, width)."""
+    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)  # type: ignore[return-value]
+
+
+def gradient_energy(grey: Grey) -> NDArray[np.float32]:
+    """Gx^2 + Gy^2 of every pixel, (height, width); the image goes on as its own mirror beyond its border."""
+    gx, gy = (g.astype(np.float32) for g in cv2.spatialGradient(grey, borderType=cv2.BORDER_REFLECT_101))
+    return gx * gx + gy * gy  # at most 2.1e6: exact in single precision
+
+
+# --- clarity of a picture that grows ---
+
+POOL = 5  # squares across and down that tell it together: one may have a single edge
+POWERS = -1.0, 2.0  # between which it lies
+
+
+def half_clarity(image: NDArray[np.uint8], rows: Edges, cols: Edges) -> Array:
+    """Clarity per pixel of the squares between these edges, in the picture at half its size."""
+    grey = luminance(image)
+    height, width = (length // 2 for length in grey.shape)
+    small = np.asarray(cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA), np.uint8)
+    return tenengrad_grid(small, np.minimum(rows // 2, height), np.minimum(cols // 2, width))
+
+
+def growth_power(clarity: Array, at_half: Array) -> Array:
+    """The power of a picture's size with which clarity a pixel falls as the picture grows, of each square (rows, cols).
+
+    clarity (n, rows, cols) of n frames, and as `half_clarity` has it. A picture that grows spreads its gradients over
+    more pixels: that is 2 for texture coarser than a pixel, 0 for one that is alike at every scale, less for grain. At
+    half its size a picture is what the camera sees from twice as far, so the frame in which a square is sharpest tells.
+    """
+    best = clarity.argmax(axis=0)[None]
+    whole, half = (np.take_along_axis(each, best, axis=0)[0] for each in (clarity, at_half))
+    together = (cv2.blur(each, (POOL, POOL), borderType=cv2.BORDER_REPLICATE) for each in (whole, half))
+    full, small = (np.maximum(each, 1e-9) for each in together)
+    power: Array = np.clip(np.log2(small / full), *POWERS)
+    return power

@@ -31,7 +31,15 @@ from agent.core.ranging.focus import (
     range_variance,
     through_port,
 )
-from agent.perception.clarity import INNER_BOX, block_peaks, tenengrad_grid
+from agent.perception.clarity import (
+    INNER_BOX,
+    Grey,
+    block_peaks,
+    growth_power,
+    half_clarity,
+    luminance,
+    tenengrad_grid,
+)
 from agent.perception.tracking.appearance import Box
 from hw.camera.camera import Image
 
@@ -450,12 +458,13 @@ def box_clarity(images: Sequence[Image], size: Array, box: Box) -> Array:
     The box grows with the picture about its centre, to whole pixels, so that it keeps its piece of the scene.
     """
     inner = box.grown(INNER_BOX)
-    clarity = np.empty(len(images))
+    clarity, at_half = np.empty((len(images), 1, 1)), np.empty((len(images), 1, 1))
     for n, (image, scale) in enumerate(zip(images, size, strict=True)):
         rows = _edges(inner.y, inner.height, image.shape[0], scale)
         cols = _edges(inner.x, inner.width, image.shape[1], scale)
-        clarity[n] = tenengrad_grid(image, rows, cols)[0, 0] * scale**GROWTH_POWER
-    return clarity
+        clarity[n], at_half[n] = tenengrad_grid(image, rows, cols), half_clarity(image, rows, cols)
+    box_alone: Array = (clarity * size[:, None, None] ** growth_power(clarity, at_half)).ravel()
+    return box_alone
 
 
 def box_range(
@@ -514,7 +523,6 @@ ITERATIONS, TOLERANCE = 15, 3e-3  # of one link, which begins where the last one
 SMOOTH_PX = 5  # Gaussian before the gradients
 MIN_CORRELATION = 0.7  # of registered frames; noise on blurred frames leaves 0.8
 AGREE = (0.2, 1e-4)  # share of the growth, and growth a step, within which links, across and down, are alike
-GROWTH_POWER = 0.7  # of the picture's size, by which clarity a pixel falls when nothing but the size changes
 LEAST_GROWTH = 0.0025  # of the whole sweep: blur that changes looks like up to 0.22 % where a picture does not grow
 MAX_STEP = 0.01  # growth from one frame to the next that is believed: seven times that of a small module
 
@@ -569,19 +577,3 @@ def step_growth(a: Grey, b: Grey, steps: int, start: Warp) -> tuple[float | None
 
 def alike(a: float, b: float) -> bool:
     return abs(a - b) <= AGREE[0] * max(abs(a), abs(b)) + AGREE[1]
-
-
-# --- luminance and gradient of a whole picture, by OpenCV ---
-
-Grey = NDArray[np.uint8]  # (height, width)
-
-
-def luminance(image: NDArray[np.uint8]) -> Grey:
-    """(height, width, 3) blue green red, or already grey -> (height, width)."""
-    return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)  # type: ignore[return-value]
-
-
-def gradient_energy(grey: Grey) -> NDArray[np.float32]:
-    """Gx^2 + Gy^2 of every pixel, (height, width); the image goes on as its own mirror beyond its border."""
-    gx, gy = (g.astype(np.float32) for g in cv2.spatialGradient(grey, borderType=cv2.BORDER_REFLECT_101))
-    return gx * gx + gy * gy  # at most 2.1e6: exact in single precision

@@ -23,7 +23,7 @@ from msgspec import Meta
 from agent.core.codec import as_text
 from agent.core.config import ConfigError, Pose, check_depth, convert, inside, read_file
 from agent.core.ranging.camera_model import camera_pose, gimbal_deg
-from agent.perception.depth_peaks import luminance
+from agent.perception.clarity import luminance
 from agent.process.command import Progress, Show
 from agent.reconstruction.refine_poses import Sigmas, covariance_of
 from agent.reconstruction.views import (

@@ -52,7 +52,8 @@ from agent.core.ranging.focus import (
     with_sag,
 )
 from agent.core.step_io import SetPoint
-from agent.perception.depth_peaks import gradient_energy, luminance, measure_growth
+from agent.perception.clarity import gradient_energy, luminance
+from agent.perception.depth_peaks import measure_growth
 from agent.perception.vision import TimedCamera, movable
 from agent.process.command import Progress, Show, temporary_folder, with_bar, with_spinner
 from agent.process.launch import crew, wait_for

@@ -1,18 +1,22 @@
 """Tenengrad against the formula written out in plain numpy; the sums are integers, so equality is exact."""
 
+import cv2
 import numpy as np
 import pytest
 
 from agent.core.ranging.focus import fit_peaks
 from agent.perception.clarity import (
     block_peaks,
+    gradient_energy,
     grid,
+    growth_power,
+    half_clarity,
+    luminance,
     tenengrad_blocks,
     tenengrad_disc,
     tenengrad_grid,
     tenengrad_region,
 )
-from agent.perception.depth_peaks import gradient_energy, luminance
 
 
 def sobel_energy(grey):
@@ -173,3 +177,21 @@ def test_curves_without_a_peak_are_refused():
 def test_the_baselines_are_those_of_the_kernel(method):
     y = curves(15.0, 4)
     assert np.array_equal(block_peaks(SWEEP, y, method).lens_position, fit_peaks(SWEEP, y, method=method).lens_position)
+
+
+@pytest.mark.parametrize("coarse_px", [1.5, 2.0, 3.0, 6.0])
+def test_a_picture_tells_how_its_clarity_falls_as_it_grows(coarse_px: float):
+    """White noise through a Gaussian, drawn as it is and 5 % larger."""
+    texture = cv2.GaussianBlur(np.random.default_rng(0).normal(0.0, 1.0, (1200, 1600)), (0, 0), coarse_px)
+    texture *= 40.0 / texture.std()
+    rows, cols = grid(480, 40), grid(640, 40)
+
+    def drawn(size: float) -> np.ndarray:
+        larger = cv2.warpAffine(texture, np.diag([size, size, 1.0])[:2], (640, 480), flags=cv2.INTER_CUBIC)
+        return np.clip(np.rint(128.0 + larger), 0, 255).astype(np.uint8)
+
+    clarity = [tenengrad_grid(drawn(size), rows, cols) for size in (1.0, 1.05)]
+    fell = np.log(clarity[0].mean() / clarity[1].mean()) / np.log(1.05)
+    told = growth_power(clarity[0][None], half_clarity(drawn(1.0), rows, cols)[None])
+    assert np.median(told) == pytest.approx(fell, abs=0.2)
+    assert 0.5 < fell < 2.0, "a constant for all would not do"
