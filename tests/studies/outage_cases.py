@@ -14,9 +14,6 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
-from datetime import UTC, datetime, timedelta
-from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -26,12 +23,10 @@ from agent.core.codec import decode
 from agent.core.config import Fleet
 from agent.core.messages import State
 from agent.core.status import fault_kind
-from agent.core.step_io import Inputs, Outputs
+from agent.core.step_io import Inputs
 from agent.core.topics import STATE
 from agent.core.verdict import ORDER
-from agent.demo.demo import CONSOLE, FOLDER, with_access
 from agent.ground.console import OrderConsole
-from agent.ground.new_fleet import make_all
 from agent.process.launch import free_ports
 from agent.process.transport import Observer
 from hw.firmware.failsafe import DISARM, SURFACE
@@ -45,11 +40,9 @@ from replay.files.recover import recover
 from tests.bench.network.processes import made, python
 from tests.dive_timing import timing
 from tests.killing import killed_after
-from tests.network.dives.broken_camera import BrokenCamera, Fault
 from tests.network.dives.dive_of_two import ENDS_S, dive_of_two
 from tests.network.dives.shown_states import ShownStates
 from tests.network.scripted_agent import TARGET_M
-from tests.network.secured.renewal import replace_certificate
 from tests.places import ROOT
 from tests.waiting import PAUSE_S, until
 
@@ -136,45 +129,6 @@ def serial(folder: Path) -> Iterator[Row]:
     bar = f"{SURFACE}: surfaces, twice; {DISARM}: off"
     ok = boards == [(SURFACE, True), (SURFACE, True), (DISARM, False)]
     yield Row("what its board did", len(boards), figure, bar, ok)
-
-
-# --- frames ---
-
-FAULTS: dict[Fault, tuple[str, str]] = {
-    "again": ("the same frame for ever", "frames frozen"),
-    "still": ("new frames with one picture", "frames frozen"),
-    "silent": ("no frames at all", "no frames"),
-}
-BROKEN_S = 12.0  # of the dive: four sweeps
-
-
-def frames(folder: Path) -> Iterator[Row]:
-    """r1's camera, one fault after the other in one dive."""
-    camera, times = BrokenCamera(), dict[Fault, tuple[int, int, int]]()
-    with dive_of_two(folder, camera.between) as (dive, shown):
-        measured = 0
-        for fault, (_, kind) in FAULTS.items():
-            shown.until("measures", lambda s, m=measured: well(s) and s.measurements > m + 1, PATIENCE_S, "r1")
-            began_ns, camera.broken = dive.clock.now_ns(), fault
-            shown.until(kind, lambda s, k=kind: any(f.startswith(k) for f in s.faults), PATIENCE_S, "r1")
-            named_ns, goal_ns = shown.newest["r1"].sent_ns, began_ns + round(1e9 * BROKEN_S)
-            shown.until("time", lambda s, ns=goal_ns: s.sent_ns > ns, PATIENCE_S, "r1")
-            times[fault] = began_ns, named_ns, dive.clock.now_ns()
-            measured, camera.broken = shown.newest["r1"].measurements, None
-        shown.until("measures", lambda s: well(s) and s.measurements > measured + 1, PATIENCE_S, "r1")
-        dive.end()
-    outcomes = [
-        (record.log_time_ns, out.outcome)
-        for record in read(folder / "r1.mcap")
-        if record.channel == STEP_OUT.name and (out := decode(record.data, Outputs, limit=STEP_BYTES)).outcome
-    ]
-    for fault, (began_ns, named_ns, ended_ns) in times.items():
-        during = [outcome for ns, outcome in outcomes if began_ns < ns <= ended_ns]
-        priors = [outcome for outcome in during if outcome.x_m is not None]
-        what, kind = FAULTS[fault]
-        named_s = (named_ns - began_ns) * 1e-9
-        figure = f"'{kind}' within {named_s:.1f} s; of {len(during)} sweeps {len(priors)} gave a prior; measures again"
-        yield Row(what, 1, figure, f"{NAMED_S:.0f} s, no prior", named_s < NAMED_S and not priors)
 
 
 # --- clocks ---
@@ -342,62 +296,6 @@ def cut(folder: Path, cut_mb: float) -> tuple[str, bool]:
     steps = sum(record.channel == STEP_OUT.name for record in read(recover(file).out or file))
     text = (said[-1] if said else f"ends with {code}") if ended else "goes on"
     return f"{text}, {steps} steps recorded", steps > 0 and (bool(said) or not ended)
-
-
-# --- certificates ---
-
-LEFT_S = 40.0  # of the certificates, when the agents start: long enough for links
-OUTLIVES_S, DAY_S = 5.0, 86_400.0
-
-
-def certificates(folder: Path) -> Iterator[Row]:
-    """Those of both robots end in a dive; then r2 is started again, and then both with new ones."""
-    keys, names, fleets, ends = folder / FOLDER, ("r1", "r2"), list[Fleet](), list[datetime]()
-
-    def secure(fleet: Fleet) -> Fleet:
-        fleets.append(with_access(fleet, (), secure=True))
-        make_all(fleets[0], keys)
-        return fleets[0]
-
-    def give(seconds: float) -> None:
-        ends.append(datetime.now(UTC) + timedelta(seconds=seconds))
-        for name in names:
-            replace_certificate(fleets[0], keys, name, ends[-1])
-
-    @contextmanager
-    def between(twin: Path) -> Iterator[Path]:
-        give(LEFT_S)
-        yield twin
-
-    with dive_of_two(folder, between, speed="1", change=secure) as (dive, shown):
-        watch, left_s = Watch(shown), (ends[0] - datetime.now(UTC)).total_seconds()
-        assert left_s > 0.0, "they ended before there was a link"
-        watch.hold(left_s)
-        heard = {name: shown.newest[name].neighbours[0].heard for name in names}
-        watch.hold(OUTLIVES_S)
-        more = min(shown.newest[name].neighbours[0].heard - heard[name] for name in names)
-        row = watch.row("end while links are up", len(names))
-        yield row._replace(figure=f"{row.figure}; {more} messages more on each link", ok=row.ok and more > OUTLIVES_S)
-        command = [sys.executable, "-m", "agent", "doctor", str(dive.path), "--as", CONSOLE]
-        done = subprocess.run(command, capture_output=True, text=True, timeout=PATIENCE_S, cwd=ROOT)
-        expired = [line for line in done.stdout.splitlines() if "its certificate has expired" in line]
-        found = [name for name in names if any(name in line for line in expired)]
-        figure = f"'its certificate has expired' of {', '.join(found)}"
-        yield Row("what the doctor says", 1, figure, "both", len(found) == len(names))
-        dive.kill("r2")
-        dive.start_agent("r2")
-        log = partial(dive.log, "r2")
-        said = until(lambda: [line for line in log().splitlines() if "ended on" in line], what=log)
-        yield Row("one is started again", 1, said[0].replace(str(keys), FOLDER), "named", True)
-        give(DAY_S)
-        began_s, began_ns = time.monotonic(), dive.clock.now_ns()
-        for name in names:
-            dive.kill(name)
-            dive.start_agent(name)
-        shown.until("well again", lambda s: s.sent_ns > began_ns and s.incarnation > began_ns and well(s), PATIENCE_S)
-        took_s = time.monotonic() - began_s
-        yield Row("new ones, both started again", 1, f"well after {took_s:.0f} s", f"{AGREE_S:.0f} s", took_s < AGREE_S)
-        dive.end()
 
 
 # --- kills ---

@@ -26,10 +26,8 @@ LONGEST = 2000  # characters of what is said of a failure
 Case = Callable[[Path], Iterator[Row]]
 CASES: dict[str, tuple[str, Case]] = {
     "serial": ("the tether is pulled and put back", outage_cases.serial),
-    "frames": ("the camera gives one frame for ever, one picture, or none", outage_cases.frames),
     "clocks": ("the time of day jumps on one computer", outage_cases.clocks),
     "memory": ("an agent may not have the memory that it takes", outage_cases.memory),
-    "certificates": ("certificates end while links are up", outage_cases.certificates),
     "kills": ("recorder, agent and twin are killed", outage_cases.kills),
 }
 

@@ -17,9 +17,8 @@ from agent.core.config import Fleet, dump
 from agent.core.ranging.camera_model import Calibration
 from agent.core.topics import STATE
 from agent.demo.demo import demo_fleet
-from agent.process.certificates import credentials
 from agent.process.command import temporary_folder
-from agent.process.transport import LOOKER, Observer
+from agent.process.transport import Observer
 from hw.twin.twin_folder import clock_path
 from tests.killing import killed_after
 from tests.known_lens import TWIN, TWIN_CAMERA
@@ -114,8 +113,7 @@ def dive_of_two(
     the dive's clock. `otherwise`: see DiveOfTwo."""
     with temporary_folder() as twin_folder:
         dive = DiveOfTwo(folder, twin_folder, **otherwise)
-        keys = credentials(dive.fleet, LOOKER, dive.path)
-        with killed_after(dive.processes), Observer(dive.fleet, dive.clock.now_ns, (STATE,), keys=keys) as observer:
+        with killed_after(dive.processes), Observer(dive.fleet, dive.clock.now_ns, (STATE,)) as observer:
             shown = ShownStates(observer, tuple(dive.fleet.robot), dive.check)
             dive.start_twin(speed)
             with between(twin_folder) as twin_of_r1:
