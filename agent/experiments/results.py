@@ -19,7 +19,7 @@ import msgspec
 from rich.table import Table
 
 from agent.core.config import ConfigError, write_whole
-from agent.experiments.claim import Claim, Figure, Measured, verdict
+from agent.experiments.claim import Claim, Figure, Measured, Verdict, verdict
 from agent.experiments.registry import CLAIMS, HEADLINES, code_of, load
 from agent.experiments.run_claim import Plan
 from replay.files.mcap_file import environment
@@ -311,7 +311,7 @@ def with_headlines(text: str, kept: KeptClaims) -> str:
 
 
 FIGURES = ("| figure | paper | measured | 90 % interval | n | target | |", "|---|---|---|---|---|---|---|")
-VERDICTS = ("met", "not shown", "missed")
+VERDICTS: tuple[Verdict, ...] = ("met", "not shown", "missed")
 
 
 def claims_page(kept: KeptClaims) -> str:
