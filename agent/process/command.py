@@ -216,8 +216,7 @@ def as_speed(text: str) -> float:
 
 
 Speed = Annotated[
-    float,
-    typer.Option(parser=as_speed, metavar="NUMBER|max", help="Seconds of the dive in one of the wall, at most."),
+    float, typer.Option(parser=as_speed, metavar="NUMBER|max", help="Seconds of the dive in one of the wall, at most.")
 ]
 
 

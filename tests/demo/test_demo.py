@@ -212,11 +212,7 @@ def test_what_is_not_asked_for_is_as_the_file_has_it(tmp_path: Path) -> None:
     ("text", "robots", "message"),
     [
         (TANK, 9, r"--robots 9: my.toml has 5; choose 1 to 5"),
-        (
-            NO_TWIN,
-            None,
-            r"'robot.r2.serial': '/dev/ttyACM0' is not in the twin, .*; write \"twin:r2\" in",
-        ),
+        (NO_TWIN, None, r"'robot.r2.serial': '/dev/ttyACM0' is not in the twin, .*; write \"twin:r2\" in"),
         (NO_TWIN.replace("/dev/ttyACM0", "twin:r2"), None, r"'robot.r2.camera'"),
         (ROCK, None, r"'target.rock': nothing in scene 'tank' has this name, .* write name = \"rock\" under a"),
         (ROCK + SCENE, None, r"rock.png: no picture for target 'rock'"),

@@ -107,10 +107,7 @@ def test_strangers_are_counted_and_bad_payloads_kept(
 
 
 def test_viewer_channels_follow_what_robots_show(
-    make_fleet: Callable[..., Fleet],
-    state: Callable[..., State],
-    start_recorder: StartRecorder,
-    tmp_path: Path,
+    make_fleet: Callable[..., Fleet], state: Callable[..., State], start_recorder: StartRecorder, tmp_path: Path
 ) -> None:
     fleet = make_fleet({"r1": ()})
     out = tmp_path / "fleet.mcap"
@@ -131,10 +128,7 @@ def test_viewer_channels_follow_what_robots_show(
 
 
 def test_a_full_disk_ends_the_recording_and_not_the_swarm(
-    make_fleet: Callable[..., Fleet],
-    estimate: Callable[..., Estimate],
-    start_recorder: StartRecorder,
-    tmp_path: Path,
+    make_fleet: Callable[..., Fleet], estimate: Callable[..., Estimate], start_recorder: StartRecorder, tmp_path: Path
 ) -> None:
     fleet = make_fleet(PAIR)
     out = tmp_path / "fleet.mcap"
@@ -168,10 +162,7 @@ def test_a_recording_that_cannot_be_finished_is_no_success(
 
 
 def test_silence_is_told_once_and_leaves_no_file(
-    make_fleet: Callable[..., Fleet],
-    start_recorder: StartRecorder,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    make_fleet: Callable[..., Fleet], start_recorder: StartRecorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(replay.recorder, "SILENCE_S", 0.1)
     recorder = start_recorder(make_fleet(PAIR), tmp_path / "fleet.mcap")
@@ -248,10 +239,7 @@ def states(path: Path) -> list[int]:
 
 @pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
 def test_a_recorder_that_is_ended_or_killed_leaves_a_readable_file(
-    make_fleet: Callable[..., Fleet],
-    state: Callable[..., State],
-    tmp_path: Path,
-    how: signal.Signals,
+    make_fleet: Callable[..., Fleet], state: Callable[..., State], tmp_path: Path, how: signal.Signals
 ) -> None:
     fleet = make_fleet({"r1": ()})
     (tmp_path / "fleet.toml").write_text(dump(fleet))

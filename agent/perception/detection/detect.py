@@ -348,13 +348,7 @@ def _roomy(found: Patch, radius_px: float) -> float:
 
 
 def _ball(
-    picture: Picture,
-    spot: Spot,
-    camera: CameraFit,
-    origin: Array,
-    model: ColourModel,
-    by_lamps: bool,
-    least: float,
+    picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model: ColourModel, by_lamps: bool, least: float
 ) -> Ball | None:
     """What a closer look makes of a spot: once over a wide band, once over as narrow a one as the blur allows.
 

@@ -8,15 +8,7 @@ from pathlib import Path
 
 from agent.process.command import temporary_folder
 from hw.camera.camera import Roi
-from hw.camera.frame_socket import (
-    OK,
-    READ,
-    REPLY_SIZE,
-    REQUEST_SIZE,
-    pack_reply,
-    parse_reply,
-    parse_request,
-)
+from hw.camera.frame_socket import OK, READ, REPLY_SIZE, REQUEST_SIZE, pack_reply, parse_reply, parse_request
 
 
 class BrokenCamera:
