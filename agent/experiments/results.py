@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -310,7 +310,7 @@ def with_headlines(text: str, kept: KeptClaims) -> str:
     return before + BEGIN + "\n" + "\n".join([*head, *rows]) + "\n\n" + END + after
 
 
-FIGURES = ("| figure | paper | measured | 90 % interval | n | target | |", "|---|---|---|---|---|---|---|")
+HEADS = ("figure", "paper", "measured", "90 % interval", "n", "target", "")
 VERDICTS: tuple[Verdict, ...] = ("met", "not shown", "missed")
 
 
@@ -320,7 +320,8 @@ def claims_page(kept: KeptClaims) -> str:
     apart = {"Beside the paper": [one for one in told if one[1].paper],
              "Missed": [one for one in told if one[1].verdict == "missed"]}  # fmt: skip
     for heading, rows in apart.items():
-        lines += [f"## {heading}", "", *FIGURES, *(f"| [{name}]({name}.md): {row(one)} |" for name, one in rows), ""]
+        cells = [(f"[{name}]({name}.md): {one.words}", *row(one)[1:]) for name, one in rows]
+        lines += [f"## {heading}", "", *tabled(cells), ""]
     for group in dict.fromkeys(entry.group for entry in CLAIMS.values()):
         lines += [f"## {group}", "", f"| claim | {' | '.join(VERDICTS)} | on | |", "|---|---|---|---|---|---|"]
         lines += [claim_row(name, *one) for name, one in kept.items() if CLAIMS[name].group == group]
@@ -338,9 +339,16 @@ def claim_row(name: str, claim: Claim, figures: Sequence[KeptFigure]) -> str:
     return f"| [{name}]({name}.md): {CLAIMS[name].about} | {' | '.join(cells)} | {on} | {older} |"
 
 
-def row(told: Told) -> str:
-    cells = told.words, told.paper, value_of(told), interval_of(told), str(told.n), told.figure.target, mark(told)
-    return " | ".join(cells)
+def row(told: Told) -> tuple[str, ...]:
+    return told.words, told.paper, value_of(told), interval_of(told), str(told.n), told.figure.target, mark(told)
+
+
+def tabled(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """A table of figures, without columns in which nothing stands."""
+    shown = [k for k in range(len(HEADS)) if k == 0 or any(cells[k] for cells in rows)]
+    yield f"| {' | '.join(HEADS[k] for k in shown)} |"
+    yield f"|{'---|' * len(shown)}"
+    yield from (f"| {' | '.join(cells[k] for k in shown)} |" for cells in rows)
 
 
 def mark(told: Told) -> str:
@@ -361,7 +369,7 @@ def claim_page(name: str, claim: Claim, figures: Sequence[KeptFigure]) -> str:
         lines += [f"Cases: {', '.join(claim.cases)}.", ""]
     if not figures:
         return "\n".join([*lines, "Not measured in this state of the project.", ""])
-    lines += [*FIGURES, *(f"| {row(one.told)} |" for one in figures)]
+    lines += tabled([row(one.told) for one in figures])
     lines += ["", f"![{name}]({name}.svg)", "", "## Where the figures are from", ""]
     code = code_of(name)
     lines += [*dict.fromkeys(origin(one, code) for one in figures), ""]
