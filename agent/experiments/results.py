@@ -10,7 +10,7 @@ from __future__ import annotations
 import json
 import math
 from collections import Counter
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -343,6 +343,15 @@ def row(told: Told) -> tuple[str, ...]:
     return told.words, told.paper, value_of(told), interval_of(told), str(told.n), told.figure.target, mark(told)
 
 
+def without_repeats(rows: Iterable[tuple[str, ...]]) -> Iterator[tuple[str, ...]]:
+    """What rows that follow each other begin with, up to a colon, stands in the first of them."""
+    before = ""
+    for words, *cells in rows:
+        case, colon, figure = words.partition(": ")
+        yield (figure if colon and case == before else words, *cells)
+        before = case if colon else before
+
+
 def tabled(rows: Sequence[Sequence[str]]) -> Iterator[str]:
     """A table of figures, without columns in which nothing stands."""
     shown = [k for k in range(len(HEADS)) if k == 0 or any(cells[k] for cells in rows)]
@@ -369,7 +378,7 @@ def claim_page(name: str, claim: Claim, figures: Sequence[KeptFigure]) -> str:
         lines += [f"Cases: {', '.join(claim.cases)}.", ""]
     if not figures:
         return "\n".join([*lines, "Not measured in this state of the project.", ""])
-    lines += tabled([row(one.told) for one in figures])
+    lines += tabled([*without_repeats(row(one.told) for one in figures)])
     lines += ["", f"![{name}]({name}.svg)", "", "## Where the figures are from", ""]
     code = code_of(name)
     lines += [*dict.fromkeys(origin(one, code) for one in figures), ""]
