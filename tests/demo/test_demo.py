@@ -168,7 +168,6 @@ FISH = fleet_file("fish").read_text()
 EEL = FISH.replace("target.fish", "target.eel").replace('"fish", s', '"eel", s')
 BOX = 'detector = "box"\npicture = "rock.png"\nbox = [0, 0, 9, 9]'
 ROCK = TANK.replace("[target.ball]", "[target.rock]").replace('detector = "ball"\nradius_m = 0.07', BOX)
-NETS = 'big.png"\nmodels = "nets'
 STONE = '[[solid]]\nkind = "stone"\nname = "rock"\nposition_m = [1, 1, 0]\nradii_m = [1, 1, 1]'
 SCENE = '\n[twin]\nscene = "SCENE"\n'
 
