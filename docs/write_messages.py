@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,17 +15,21 @@ from agent.ground.schemas import QUERIES, TOKENS, kinds, schema, write
 
 PAGE = Path(__file__).with_name("messages.md")
 SCHEMAS = Path(__file__).with_name("schemas")
+SEVERAL = 3  # messages with the same field: it is explained once
 BEGIN, END = "<!-- tables: python docs/write_messages.py -->\n", "<!-- end of tables -->\n"
 
 
 def tables() -> str:
     """All that is generated in the page."""
-    sections, told = [keys()], set[str]()
-    for kind in kinds():
-        whole = schema(kind)
+    wholes = {encoding(kind): schema(kind) for kind in kinds()}
+    counts = Counter(row for whole in wholes.values() for row in rows(whole).values())
+    common = [row for row, count in counts.items() if count >= SEVERAL]
+    sections, told = [keys(), "\n".join(["### In several messages", "", *HEAD, *common]) + "\n"], set[str]()
+    for name, whole in wholes.items():
+        lead = f"`{name}`, [schema](schemas/{whole['title']}.json). "
+        sections.append(section(whole, lead, common))
         parts = whole.get("$defs", {})
-        sections.append(section(whole, f"`{encoding(kind)}`, [schema](schemas/{whole['title']}.json). "))
-        sections += [section(part) for name, part in parts.items() if name not in told]
+        sections += [section(part) for title, part in parts.items() if title not in told]
         told |= parts.keys()
     return "\n".join(sections)
 
@@ -44,17 +50,27 @@ def keys() -> str:
     return "\n".join(lines) + "\n"
 
 
-def section(part: dict[str, Any], lead: str = "") -> str:
-    """One struct: what it is, and a row for each of its fields."""
-    fields = part.get("properties") or {item["title"]: item for item in part["prefixItems"]}
+HEAD = ("| field | type | what it is |", "|---|---|---|")
+
+
+def section(part: dict[str, Any], lead: str = "", common: Sequence[str] = ()) -> str:
+    """One struct: what it is, and a row for each of its fields that is not common to several."""
     how = "" if "properties" in part else " Travels as an array, in this order."
-    lines = [f"### {part['title']}", "", f"{lead}{part['description']}{how}", "", "| field | type | what it is |"]
-    lines += ["|---|---|---|"]
+    of_all = [f"`{name}`" for name, row in rows(part).items() if row in common]
+    also = f" With {', '.join(of_all)} of [several](#in-several-messages)." if of_all else ""
+    own = [row for row in rows(part).values() if row not in common]
+    return "\n".join([f"### {part['title']}", "", f"{lead}{part['description']}{how}{also}", "", *HEAD, *own]) + "\n"
+
+
+def rows(part: dict[str, Any]) -> dict[str, str]:
+    """Of each field of a struct."""
+    fields = part.get("properties") or {item["title"]: item for item in part["prefixItems"]}
+    found = {}
     for name, field in fields.items():
         needed = name in part.get("required", ()) or ("properties" not in part and "default" not in field)
-        kind = f"{type_of(field)}{'' if needed else ', may be left out'}"
-        lines.append(f"| `{name}` | {kind} | {field['description']} |")
-    return "\n".join(lines) + "\n"
+        kind = f"{type_of(field)}{'' if needed else ', optional'}"
+        found[name] = f"| `{name}` | {kind} | {field['description']} |"
+    return found
 
 
 def type_of(field: dict[str, Any]) -> str:

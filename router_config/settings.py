@@ -241,10 +241,7 @@ def _config(
     listen: Sequence[str] | None = None,
     connect: Sequence[str] = (),
 ) -> str:
-    differences: dict[str, Any] = {
-        "connect": {"endpoints": list(connect)},
-        "metadata": metadata(fleet, name),
-    }
+    differences: dict[str, Any] = {"connect": {"endpoints": list(connect)}, "metadata": metadata(fleet, name)}
     if listen is not None:
         differences["listen"] = {"endpoints": list(listen)}
     if fleet.secured:

@@ -42,12 +42,7 @@ TABLE = [
     ("09-*/mm_units.toml", ["check", "SOURCE"], 0, "1500 x 1200 x 800 m is no tank; are they mm"),
     ("10-*/*pad*.mcap", ["replay", "info", "SOURCE"], 0, "whole, but not written by Aucamp"),
     ("10-*/*lz4.mcap", ["replay", "info", "SOURCE"], 0, "whole, but not written by Aucamp"),
-    (
-        "11-*/folder",
-        ["tags", "SOURCE"],
-        1,
-        "is AVIF.*is HEIC.*is JPEG 2000.*is GIF",
-    ),
+    ("11-*/folder", ["tags", "SOURCE"], 1, "is AVIF.*is HEIC.*is JPEG 2000.*is GIF"),
     ("12-*/exif3_all", CAMERA, 0, r"8 of 8 pictures have an EXIF orientation.*centre \((309|310)\.\d, (249|250)\.\d\)"),
     ("14-*/lfs.mcap", ["replay", "info", "SOURCE"], 2, "a Git LFS pointer"),
     ("14-*/html.mcap", ["replay", "info", "SOURCE"], 2, "a page of HTML"),

@@ -149,10 +149,7 @@ def router(
 
 
 @app.command(epilog="Example: aucamp view fleet.toml")
-def view(
-    fleet: FleetFiles,
-    port: Port = 8765,
-) -> None:
+def view(fleet: FleetFiles, port: Port = 8765) -> None:
     """Serve what a running fleet knows and sees to Foxglove, on this machine only, until Ctrl-C.
 
     Of several fleets each has a port of its own: PORT, PORT + 1 and so on.

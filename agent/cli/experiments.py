@@ -77,13 +77,7 @@ def experiment(
 
 
 def plan_of(
-    name: str,
-    claim: Claim,
-    seeds: int | None,
-    first: int,
-    only: Sequence[str],
-    settings: Sequence[str],
-    quick: bool,
+    name: str, claim: Claim, seeds: int | None, first: int, only: Sequence[str], settings: Sequence[str], quick: bool
 ) -> Plan:
     """What the options ask for. Raises ConfigError."""
     from agent.experiments.run_claim import Plan

@@ -200,9 +200,7 @@ def explain(
 
 
 @app.command(epilog="Example: aucamp schemas --out schemas")
-def schemas(
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write into: new, or empty.")],
-) -> None:
+def schemas(out: Annotated[Path, typer.Option(metavar="DIR", help="Folder to write into: new, or empty.")]) -> None:
     """JSON Schemas of the messages on the network, and the table of keys, for programs of your own."""
     from agent.ground.schemas import write
 
@@ -387,8 +385,7 @@ def board(
         bool, typer.Option("--no-hands", help="check: thrusters alone, nobody turns the switch or presses corners.")
     ] = False,
     files: Annotated[
-        Path | None,
-        typer.Option(metavar="DIR", help="update: what `make firmware` made; this release's if not given."),
+        Path | None, typer.Option(metavar="DIR", help="update: what `make firmware` made; this release's if not given.")
     ] = None,
 ) -> None:
     """A control module whose agent does not run.

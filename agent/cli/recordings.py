@@ -141,10 +141,7 @@ def unused_page(path: Path) -> Path:
 export_app = typer.Typer()
 
 
-@export_app.command(
-    "export",
-    epilog="Example: aucamp export csv runs/20260101T120000Z --out tables",
-)
+@export_app.command("export", epilog="Example: aucamp export csv runs/20260101T120000Z --out tables")
 def export_command(
     kind: Annotated[
         Literal["csv", "mp4", "webp", "jsonl", "rosbag"],
@@ -210,8 +207,7 @@ def reconstruct_command(
         list[Export] | None, typer.Option("--export", help="For other programs; again for more. ply if none is given.")
     ] = None,
     transforms: Annotated[
-        Path | None,
-        typer.Option(metavar="FILE", help="Not recordings: pictures with poses in nerfstudio's layout."),
+        Path | None, typer.Option(metavar="FILE", help="Not recordings: pictures with poses in nerfstudio's layout.")
     ] = None,
     length: Annotated[
         str | None,

@@ -28,11 +28,6 @@ def stopwatch_s() -> float:
     return time.perf_counter()
 
 
-def processor_s() -> float:
-    """Processor time that this process has used."""
-    return time.process_time()
-
-
 def sleep(seconds: float) -> None:
     time.sleep(seconds)
 

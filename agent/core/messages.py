@@ -282,8 +282,7 @@ class Explain(Message, frozen=True, kw_only=True):
         ),
     ] = UNSET
     sway_m: Annotated[
-        dict[str, float],
-        means("protocol `evidence`: m, from the posterior to where it would be without this origin"),
+        dict[str, float], means("protocol `evidence`: m, from the posterior to where it would be without this origin")
     ] = {}
 
 
@@ -323,8 +322,7 @@ class State(Message, frozen=True, kw_only=True):
     verdict: Annotated[Verdict, means("whether what it believes of the target can be trusted")] = "consistent"
     causes: Annotated[tuple[str, ...], means("why not, the worst first; empty: consistent")] = ()
     mode: Annotated[
-        Mode,
-        means("running; degraded: a step broke a moment ago; stopped: ended as planned; failed: ended by a fault"),
+        Mode, means("running; degraded: a step broke a moment ago; stopped: ended as planned; failed: ended by a fault")
     ] = "running"
     signed: Annotated[
         bool, means("what others measured counts by their signatures; false: by whose mouth it came from")

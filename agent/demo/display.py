@@ -75,13 +75,7 @@ def progress_title(dive_s: float, duration_s: float, rate: float) -> str:
 
 def progress_table(histories: Histories, title: str) -> Table:
     """What each robot says of itself and of each target now, in 80 columns."""
-    table = Table(
-        title=title,
-        title_justify="left",
-        box=SIMPLE_HEAD,
-        padding=0,
-        show_edge=False,
-    )
+    table = Table(title=title, title_justify="left", box=SIMPLE_HEAD, padding=0, show_edge=False)
     lights = any(h.newest is not None and h.newest.lamp for of in histories.values() for h in of.values())
     also = ("light",) if lights else ()
     for column in ("target", "robot", "", "iter.", "saw at", "estimate mm", "± mm", "hears", *also, WRONG):

@@ -24,15 +24,7 @@ from agent.core.config import Cues, Fleet, Pose, Target, WaterKind
 from agent.core.estimation.track import outer
 from agent.core.linear_algebra import full, plus, times, trace
 from agent.core.messages import Vector
-from agent.core.ranging.camera_model import (
-    Calibration,
-    Eye,
-    TimingFit,
-    camera_pose,
-    gimbal_deg,
-    look_at,
-    servos_us,
-)
+from agent.core.ranging.camera_model import Calibration, Eye, TimingFit, camera_pose, gimbal_deg, look_at, servos_us
 from agent.core.ranging.fix import NoRange, distance, locate
 from agent.core.ranging.sweep import Measurement, Sweep
 from agent.core.step_io import SetPoint, Sighting, Telemetry

@@ -13,16 +13,7 @@ import numpy as np
 from msgspec.structs import replace
 
 from agent.core.ranging.camera_model import CameraFit, FocusFit, offset
-from agent.core.ranging.focus import (
-    Array,
-    Method,
-    TiltedPeak,
-    as_on_axis,
-    at_tilt,
-    fit_peaks,
-    port_share,
-    with_sag,
-)
+from agent.core.ranging.focus import Array, Method, TiltedPeak, as_on_axis, at_tilt, fit_peaks, port_share, with_sag
 from agent.experiments.claim import Claim, Figure, Row, Rows, Value
 from agent.experiments.still_camera import (
     BLOCK_PX,

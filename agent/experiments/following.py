@@ -125,11 +125,7 @@ SUMS = (
 SPEEDS_M_S = (0.10, 0.15, 0.20)  # of the target
 LOST = 0.3  # of all words, where some are lost
 
-CASES = {
-    "share-3": Case(),
-    "share-3-loss30": Case(LOST),
-    "silent-3": Case(silent=True),
-}
+CASES = {"share-3": Case(), "share-3-loss30": Case(LOST), "silent-3": Case(silent=True)}
 TARGETS = ("share-3", "share-3-loss30")  # cases that have any
 
 

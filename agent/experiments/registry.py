@@ -94,10 +94,7 @@ CLAIMS: dict[str, Entry] = {
 
 
 # Claim and figure, for the README.
-HEADLINES = (
-    ("demo", "tank_error_percent"),
-    ("demo", "loss30_error_percent"),
-)
+HEADLINES = (("demo", "tank_error_percent"), ("demo", "loss30_error_percent"))
 
 
 def load(module: str) -> Claim:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -18,7 +19,7 @@ import msgspec
 from rich.table import Table
 
 from agent.core.config import ConfigError, write_whole
-from agent.experiments.claim import Claim, Figure, Measured, verdict
+from agent.experiments.claim import Claim, Figure, Measured, Verdict, verdict
 from agent.experiments.registry import CLAIMS, HEADLINES, code_of, load
 from agent.experiments.run_claim import Plan
 from replay.files.mcap_file import environment
@@ -187,13 +188,13 @@ def _text(struct: msgspec.Struct) -> str:
 
 PAGES = Path("docs/research")
 ALL = "claims.md"
-FEW = 3  # figures of a claim without targets that the page of all claims shows
-OLDER = "older than the code"  # beside a figure whose code has changed since it was measured
+OLDER = "older than the code"  # beside figures whose code has changed since they were measured
 HEAD = """# Claims
 
 `aucamp experiment docs` writes this page from the results in [results](results). Nothing here has been in the sea.
-A figure comes with its 90 % interval and with n: seeds, or trials of a share. A target is **met** when the whole
-interval keeps it, **missed** when none of it does, else **not shown**. What a figure was measured on:
+Each claim has a page with its figures, their 90 % intervals and n: seeds, or trials of a share. A target is **met**
+when the whole interval keeps it, **missed** when none of it does, else **not shown**: here they are counted. What a
+figure was measured on:
 
 * **twin**: our own simulation. It is optimistic where [it leaves something out](../twin.md).
 * **model**: the estimators alone, on numbers drawn as their equations say.
@@ -309,33 +310,54 @@ def with_headlines(text: str, kept: KeptClaims) -> str:
     return before + BEGIN + "\n" + "\n".join([*head, *rows]) + "\n\n" + END + after
 
 
+HEADS = ("figure", "paper", "measured", "90 % interval", "n", "target", "")
+VERDICTS: tuple[Verdict, ...] = ("met", "not shown", "missed")
+
+
 def claims_page(kept: KeptClaims) -> str:
-    """One row for each figure that has a target, below the heading of its group; the claims' pages have the others."""
-    lines = [HEAD]
+    """Figures that the paper has and those that miss; then a row for each claim, below the heading of its group."""
+    lines, told = [HEAD], [(name, one.told) for name, (_, figures) in kept.items() for one in figures]
+    apart = {"Beside the paper": [one for one in told if one[1].paper],
+             "Missed": [one for one in told if one[1].verdict == "missed"]}  # fmt: skip
+    for heading, rows in apart.items():
+        cells = [(f"[{name}]({name}.md): {one.words}", *row(one)[1:]) for name, one in rows]
+        lines += [f"## {heading}", "", *tabled(cells), ""]
     for group in dict.fromkeys(entry.group for entry in CLAIMS.values()):
-        lines += [f"## {group}", "", "| claim | paper | measured | 90 % interval | n | target | | on | |",
-                  "|---|---|---|---|---|---|---|---|---|"]  # fmt: skip
-        for name, (claim, figures) in kept.items():
-            if CLAIMS[name].group == group:
-                lines += claim_rows(name, claim, figures)
+        lines += [f"## {group}", "", f"| claim | {' | '.join(VERDICTS)} | on | |", "|---|---|---|---|---|---|"]
+        lines += [claim_row(name, *one) for name, one in kept.items() if CLAIMS[name].group == group]
         lines.append("")
     return "\n".join(lines)
 
 
-def claim_rows(name: str, claim: Claim, figures: Sequence[KeptFigure]) -> Iterator[str]:
-    link = f"[{name}]({name}.md)"
-    judged = [one for one in figures if one.told.figure.target] or figures[:FEW]
+def claim_row(name: str, claim: Claim, figures: Sequence[KeptFigure]) -> str:
+    counts = Counter(one.told.verdict for one in figures)
+    cells = [str(counts[verdict] or "") for verdict in VERDICTS]
+    if not any(cells):
+        cells[0] = "no target" if figures else "not measured"
     on = claim.measured_on + (f"; [judged too](../outside.md#{heading})" if (heading := CLAIMS[name].judged) else "")
-    if not figures:
-        yield f"| {link}: {CLAIMS[name].about} | | not measured | | | | | {on} | |"
-    code = code_of(name) if figures else ""
-    for one in judged:
-        yield f"| {link}: {row(one.told)} | {on} | {age(one, code)} |"
+    older = max((age(one, code_of(name)) for one in figures), default="")
+    return f"| [{name}]({name}.md): {CLAIMS[name].about} | {' | '.join(cells)} | {on} | {older} |"
 
 
-def row(told: Told) -> str:
-    cells = told.words, told.paper, value_of(told), interval_of(told), str(told.n), told.figure.target, mark(told)
-    return " | ".join(cells)
+def row(told: Told) -> tuple[str, ...]:
+    return told.words, told.paper, value_of(told), interval_of(told), str(told.n), told.figure.target, mark(told)
+
+
+def without_repeats(rows: Iterable[tuple[str, ...]]) -> Iterator[tuple[str, ...]]:
+    """What rows that follow each other begin with, up to a colon, stands in the first of them."""
+    before = ""
+    for words, *cells in rows:
+        case, colon, figure = words.partition(": ")
+        yield (figure if colon and case == before else words, *cells)
+        before = case if colon else before
+
+
+def tabled(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """A table of figures, without columns in which nothing stands."""
+    shown = [k for k in range(len(HEADS)) if k == 0 or any(cells[k] for cells in rows)]
+    yield f"| {' | '.join(HEADS[k] for k in shown)} |"
+    yield f"|{'---|' * len(shown)}"
+    yield from (f"| {' | '.join(cells[k] for k in shown)} |" for cells in rows)
 
 
 def mark(told: Told) -> str:
@@ -356,19 +378,18 @@ def claim_page(name: str, claim: Claim, figures: Sequence[KeptFigure]) -> str:
         lines += [f"Cases: {', '.join(claim.cases)}.", ""]
     if not figures:
         return "\n".join([*lines, "Not measured in this state of the project.", ""])
-    lines += ["| figure | paper | measured | 90 % interval | n | target | | |", "|---|---|---|---|---|---|---|---|"]
-    code = code_of(name)
-    lines += [f"| {row(one.told)} | {age(one, code)} |" for one in figures]
+    lines += tabled([*without_repeats(row(one.told) for one in figures)])
     lines += ["", f"![{name}]({name}.svg)", "", "## Where the figures are from", ""]
-    lines += [*dict.fromkeys(origin(one) for one in figures), ""]
+    code = code_of(name)
+    lines += [*dict.fromkeys(origin(one, code) for one in figures), ""]
     return "\n".join(lines)
 
 
-def origin(one: KeptFigure) -> str:
+def origin(one: KeptFigure, code: str) -> str:
     run, (first, last) = one.run, one.seeds
     seeds = f"seed {first}" if first == last else f"seeds {first} to {last}"
     measured = f"{run.date}, commit {run.commit}, {run.processor}, {seeds}, {run.seconds_a_seed:g} s a seed"
-    return f"* {measured}: `{run.command}`."
+    return f"* {measured}: `{run.command}`; {age(one, code)}".removesuffix("; ") + "."
 
 
 # --- the drawing: each figure a line of its own, with its interval and its target ---

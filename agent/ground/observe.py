@@ -242,8 +242,8 @@ class Recorded(NamedTuple):
     failed: list[str]
 
 
-def record_fleets(paths: Sequence[Path], out: Path, stop: Event, say: Say, views: bool = True) -> Recorded:
-    """Record until `stop` is set; `say` gets lines meanwhile, `views` adds channels for viewers.
+def record_fleets(paths: Sequence[Path], out: Path, stop: Event, say: Say) -> Recorded:
+    """Record until `stop` is set; `say` gets lines meanwhile.
 
     Of several fleets one that cannot be recorded any longer ends no other's recording. Raises ConfigError for files and
     folders that cannot be used, and where the only fleet cannot be recorded.
@@ -253,7 +253,7 @@ def record_fleets(paths: Sequence[Path], out: Path, stop: Event, say: Say, views
     clocks = {path: fleet_clock(fleet) for path, fleet in fleets.items()}
     files = recordings_of(tuple(fleets.values()), out)
     jobs = {
-        fleet.fleet: partial(record, fleet, files[fleet.fleet], stop, clocks[path], views=views, keys=keys[path])
+        fleet.fleet: partial(record, fleet, files[fleet.fleet], stop, clocks[path], keys=keys[path])
         for path, fleet in fleets.items()
     }
     several = len(jobs) > 1

@@ -1,9 +1,7 @@
 """How sharp an image is: Tenengrad, the mean energy of the 3x3 Sobel gradient, in blocks or over a disc.
 
 T = mean of Gx^2 + Gy^2, Gx = Y * [[-1,0,1],[-2,0,2],[-1,0,1]], Gy its transpose, Y the 8-bit luminance, no threshold.
-`modified` adds the same operator along both diagonals. (Aucamp names a modified Tenengrad and prints no formula; four
-directions is what the literature mostly means.) White noise of standard deviation s adds 24 s^2 to T, 48 s^2 to the
-modified one: an offset that the peak fit leaves free.
+White noise of standard deviation s adds 24 s^2 to T: an offset that the peak fit leaves free.
 
 It is taken on the raw frame: an enhancement that looks at the whole picture changes its gain from one lens position
 to the next, and so moves the peak. Luminance, gradient and sums are integers, so the results are exact. They are made
@@ -54,19 +52,19 @@ def grid(length_px: int, block: int, scale: float = 1.0, centre_px: float | None
     return whole
 
 
-def tenengrad_grid(image: NDArray[np.uint8], rows: Edges, cols: Edges, modified: bool = False) -> NDArray[np.float64]:
+def tenengrad_grid(image: NDArray[np.uint8], rows: Edges, cols: Edges) -> NDArray[np.float64]:
     """T of every block of a grid -> (len(rows) - 1, len(cols) - 1), per pixel; 0 for a block without pixels.
 
     `image` is (height, width, 3) blue green red or (height, width) grey; edges rise and lie within it.
     """
-    means: NDArray[np.float64] = tenengrad_sums(image, rows, cols, modified) / areas(rows, cols)
+    means: NDArray[np.float64] = tenengrad_sums(image, rows, cols) / areas(rows, cols)
     return means
 
 
-def tenengrad_sums(image: NDArray[np.uint8], rows: Edges, cols: Edges, modified: bool = False) -> Sums:
+def tenengrad_sums(image: NDArray[np.uint8], rows: Edges, cols: Edges) -> Sums:
     """Gx^2 + Gy^2 over all pixels of every block of a grid: those of a block's cells add up to its own, exactly."""
     sums = np.empty((len(rows) - 1, len(cols) - 1), np.int64)
-    _sums(_flat(image), _colours(image), rows, cols, EVERYWHERE, modified, sums)
+    _sums(_flat(image), _colours(image), rows, cols, EVERYWHERE, sums)
     return sums
 
 
@@ -76,31 +74,27 @@ def areas(rows: Edges, cols: Edges) -> Sums:
     return pixels
 
 
-def tenengrad_blocks(image: NDArray[np.uint8], block: int = 50, modified: bool = False) -> NDArray[np.float64]:
+def tenengrad_blocks(image: NDArray[np.uint8], block: int = 50) -> NDArray[np.float64]:
     """T of every whole block of `block` x `block` pixels -> (rows, cols), per pixel.
 
     Pixels right of and below the last whole block are unused. Raises ValueError for a block larger than the image.
     """
     height, width = image.shape[:2]
-    return tenengrad_grid(image, grid(height, block), grid(width, block), modified)
+    return tenengrad_grid(image, grid(height, block), grid(width, block))
 
 
-def tenengrad_region(
-    image: NDArray[np.uint8], inside: NDArray[np.bool_], modified: bool = False
-) -> tuple[float, float]:
+def tenengrad_region(image: NDArray[np.uint8], inside: NDArray[np.bool_]) -> tuple[float, float]:
     """T over the pixels where `inside` (height, width) is true, per pixel, and how many there are; (0.0, 0.0): none."""
     area = int(np.count_nonzero(inside))
     if area == 0:
         return 0.0, 0.0
     rows, cols = (np.array([0, size]) for size in inside.shape)  # one block
     total = np.empty((1, 1), np.int64)
-    _sums(_flat(image), _colours(image), rows, cols, np.ascontiguousarray(inside), modified, total)
+    _sums(_flat(image), _colours(image), rows, cols, np.ascontiguousarray(inside), total)
     return float(total[0, 0]) / area, float(area)
 
 
-def tenengrad_disc(
-    image: NDArray[np.uint8], centre_px: tuple[float, float], radius_px: float, modified: bool = False
-) -> tuple[float, float]:
+def tenengrad_disc(image: NDArray[np.uint8], centre_px: tuple[float, float], radius_px: float) -> tuple[float, float]:
     """T over the pixels whose centres lie in a disc, per pixel, and how many there are.
 
     `centre_px` is (u, v) in pixels of this image. A disc wholly outside gives (0.0, 0.0).
@@ -113,7 +107,7 @@ def tenengrad_disc(
     if x0 >= x1 or y0 >= y1:
         return 0.0, 0.0
     inside = (np.arange(x0, x1) - u) ** 2 + (np.arange(y0, y1)[:, None] - v) ** 2 <= radius_px**2
-    return tenengrad_region(image[y0:y1, x0:x1], inside, modified)
+    return tenengrad_region(image[y0:y1, x0:x1], inside)
 
 
 def _flat(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
@@ -125,8 +119,8 @@ def _colours(image: NDArray[np.uint8]) -> int:
     return 3 if image.ndim == 3 else 1
 
 
-@compiled("void(u1[:,::1], i8, i8[::1], i8[::1], b1[:,::1], b1, i8[:,::1])", error_model="numpy")
-def _sums(image: Any, colours: int, rows: Edges, cols: Edges, inside: Any, modified: bool, sums: Any) -> None:
+@compiled("void(u1[:,::1], i8, i8[::1], i8[::1], b1[:,::1], i8[:,::1])", error_model="numpy")
+def _sums(image: Any, colours: int, rows: Edges, cols: Edges, inside: Any, sums: Any) -> None:
     """Energy of each block of the grid: sums (len(rows) - 1, len(cols) - 1) int64.
 
     inside: (height, width), the pixels that count; all of them if it is empty.
@@ -151,16 +145,12 @@ def _sums(image: Any, colours: int, rows: Edges, cols: Edges, inside: Any, modif
                     _copy(source, band[at : at + width])
                 band[at - 1], band[at + width] = band[at + _mirrored(-1, width)], band[at + _mirrored(width, width)]
             size = height * stride - 2
-            for turn in range(2 if modified else 1):
-                if turn == 0:
-                    _gradient(band, stride, gx[:size], gy[:size])
-                else:
-                    _diagonal(band, stride, gx[:size], gy[:size])
-                for row in range(height):
-                    at = row * stride
-                    if inside.size:
-                        _keep(inside[top + row], gx[at : at + width], gy[at : at + width])
-                    _add_squares(gx[at : at + width], gy[at : at + width], columns)
+            _gradient(band, stride, gx[:size], gy[:size])
+            for row in range(height):
+                at = row * stride
+                if inside.size:
+                    _keep(inside[top + row], gx[at : at + width], gy[at : at + width])
+                _add_squares(gx[at : at + width], gy[at : at + width], columns)
             _copy(band[height * stride : (height + 2) * stride], band[: 2 * stride])
             waiting += height
             if waiting > FLUSH_ROWS - BAND or top + height == rows[k + 1]:
@@ -213,18 +203,6 @@ def _gradient(band: Any, stride: int, gx: Any, gy: Any) -> None:
         falling, rising = np.int16(se[x] - nw[x]), np.int16(ne[x] - sw[x])
         gx[x] = falling + rising + 2 * (e[x] - w[x])
         gy[x] = falling - rising + 2 * (s[x] - n[x])
-
-
-@kernel
-def _diagonal(band: Any, stride: int, up: Any, down: Any) -> None:
-    """The same operator turned by 45 degrees, both ways."""
-    nw, n, ne = band, band[1:], band[2:]
-    w, e = band[stride:], band[stride + 2 :]
-    sw, s, se = band[2 * stride :], band[2 * stride + 1 :], band[2 * stride + 2 :]
-    for x in range(up.size):
-        across, along = np.int16(e[x] - w[x]), np.int16(s[x] - n[x])
-        up[x] = 2 * (ne[x] - sw[x]) + across - along
-        down[x] = 2 * (se[x] - nw[x]) + across + along
 
 
 @kernel

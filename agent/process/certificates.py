@@ -52,13 +52,13 @@ def key_file(folder: Path, name: str) -> Path:
     return folder / f"{name}{KEY}"
 
 
-def make_ca(fleet: str, begins: datetime = BEGIN, ends: datetime | None = None) -> Pair:
+def make_ca(fleet: str) -> Pair:
     """An authority for one fleet: it may give certificates, and nobody whom it gave one may give others."""
     key = ec.generate_private_key(ec.SECP256R1())
     name = x509.Name([x509.NameAttribute(NameOID.COMMON_NAME, f"aucamp {fleet} CA")])
-    ends = ends or datetime.now(UTC) + timedelta(days=365.25 * CA_YEARS)
+    ends = datetime.now(UTC) + timedelta(days=365.25 * CA_YEARS)
     built = (
-        _dated(name, name, key, begins, ends)
+        _dated(name, name, key, BEGIN, ends)
         .add_extension(x509.BasicConstraints(ca=True, path_length=0), critical=True)
         .add_extension(_usage(signs=True), critical=True)
         .add_extension(x509.SubjectKeyIdentifier.from_public_key(key.public_key()), critical=False)

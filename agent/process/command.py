@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import contextlib
 import difflib
-import itertools
 import math
 import shutil
 import sys
@@ -52,13 +51,6 @@ def with_bar(console: Console, what: str, work: Callable[[Show], T]) -> T:
             bar.update(task, completed=done, total=total, description=what or None)
 
         return work(show)
-
-
-def step_by_step(progress: Progress, total: int) -> Callable[[], None]:
-    """What is to be called after each of `total` parts; that none is done yet is shown at once."""
-    done = itertools.count(1)
-    progress(0, total)
-    return lambda: progress(next(done), total)
 
 
 @contextlib.contextmanager
@@ -208,7 +200,6 @@ RobotName = Annotated[str, typer.Option("--robot", help="Which robot of the flee
 Port = Annotated[int, typer.Option(min=1024, max=65535, help="WebSocket port on this machine.")]
 Recordings = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings (MCAP).")]
 Runs = Annotated[list[Path], typer.Argument(metavar="PATH...", help="Folders of runs, or recordings (MCAP).")]
-OutFolder = Annotated[Path | None, typer.Option(help="Folder for result.json and figures; runs/<UTC> if not given.")]
 
 SLOWEST = 0.01  # slower than this nobody can tell from a clock that stands
 
@@ -225,8 +216,7 @@ def as_speed(text: str) -> float:
 
 
 Speed = Annotated[
-    float,
-    typer.Option(parser=as_speed, metavar="NUMBER|max", help="Seconds of the dive in one of the wall, at most."),
+    float, typer.Option(parser=as_speed, metavar="NUMBER|max", help="Seconds of the dive in one of the wall, at most.")
 ]
 
 

@@ -36,9 +36,9 @@ def seen_faces(mesh: Mesh) -> NDArray[np.int32]:
     return np.ascontiguousarray(mesh.faces[(mesh.views > 0)[mesh.faces].all(axis=1)])
 
 
-def mesh_of(surface: Surface, least_weight: float = LEAST_WEIGHT) -> Mesh:
+def mesh_of(surface: Surface) -> Mesh:
     """All of the surface; empty where there is none."""
-    return _numbered_mesh(surface, least_weight)[0]
+    return _numbered_mesh(surface)[0]
 
 
 def joined(seen: Surface, both: Surface) -> Mesh:
@@ -46,8 +46,8 @@ def joined(seen: Surface, both: Surface) -> Mesh:
 
     What is of `seen` alone is as `mesh_of(seen)` has it, to the bit; the other vertices have no views.
     """
-    first, its = _numbered_mesh(seen, LEAST_WEIGHT)
-    mesh, numbers = _numbered_mesh(both, LEAST_WEIGHT)
+    first, its = _numbered_mesh(seen)
+    mesh, numbers = _numbered_mesh(both)
     there = seen.table >= 0
     in_seen, in_both = its[seen.table[there]], numbers[both.table[there]]
     known = in_seen >= 0
@@ -57,16 +57,16 @@ def joined(seen: Surface, both: Surface) -> Mesh:
     return mesh
 
 
-def _numbered_mesh(surface: Surface, least_weight: float) -> tuple[Mesh, NDArray[np.int32]]:
+def _numbered_mesh(surface: Surface) -> tuple[Mesh, NDArray[np.int32]]:
     """And which vertex each cube (bricks, 8, 8, 8) has; -1: none."""
     places = np.argwhere(surface.table >= 0)
     numbers = np.full(surface.weight.shape, -1, np.int32)
-    count = _number(surface, places, least_weight, numbers)
+    count = _number(surface, places, LEAST_WEIGHT, numbers)
     vertices, normals = np.zeros((count, 3)), np.zeros((count, 3), np.float32)
     weight, views = np.zeros(count, np.float32), np.zeros(count, np.uint8)
-    _place(surface, places, least_weight, numbers, vertices, normals, weight, views)
+    _place(surface, places, LEAST_WEIGHT, numbers, vertices, normals, weight, views)
     faces = np.empty((6 * count, 3), np.int32)
-    used = _join(surface, places, least_weight, numbers, faces)
+    used = _join(surface, places, LEAST_WEIGHT, numbers, faces)
     sigma = np.sqrt(1e-4 / np.maximum(weight, 1e-6)).astype(np.float32)
     grey = np.full((count, 3), 0.5, np.float32)
     return Mesh(vertices, faces[:used].copy(), normals, grey, sigma, views), numbers

@@ -259,12 +259,12 @@ def picture(surfels: Surfels, view: View) -> tuple[Floats, Floats]:
     ), drawn.depth_m
 
 
-def fit(cloud: Cloud, views: Sequence[View], epochs: int, done: Callable[[int, int], None], seed: int = 0) -> Surfels:
+def fit(cloud: Cloud, views: Sequence[View], epochs: int, done: Callable[[int, int], None]) -> Surfels:
     """Start at the mean of what pictures show of each disc, then `epochs` times through all of them.
 
     done(pictures seen, in all) is called after each.
     """
-    order, total = np.random.default_rng(seed), (epochs + 1) * len(views)
+    order, total = np.random.default_rng(0), (epochs + 1) * len(views)
     sums, shares, pieces = np.zeros((len(cloud.place_m), 3)), np.zeros(len(cloud.place_m)), pieces_of(cloud)
     for n, view in enumerate(views):
         drawn = splats(cloud, view, pieces)

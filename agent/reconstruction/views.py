@@ -430,14 +430,12 @@ def keyframe(
     tilt_rad: float,
     corner_px: tuple[int, int] = (0, 0),
     grown_about_px: tuple[float, float] | None = None,
-    sharp_everywhere: bool = True,
 ) -> Swept:
     """Frames of one sweep, in the order of their lens positions (n,); the camera looks up by tilt_rad.
 
     corner_px: upper left corner of the frames in the whole picture, if they show a part of it. grown_about_px: what
     stays where it is in the frames as they grow; None: the optical axis.
-    sharp_everywhere: else the picture is the one frame that is sharp in most of it. Raises ConfigError for frames that
-    are smaller than a block.
+    Raises ConfigError for frames that are smaller than a block.
     """
     height, width = images[0].shape[:2]
     times, block = reduction(calibration.camera.width_px), max(8, calibration.camera.width_px // BLOCKS_ACROSS)
@@ -452,11 +450,7 @@ def keyframe(
     size = size / size[swept.reference]
     centre, gamma = grown_about_px or (whole.cx_px, whole.cy_px), calibration.camera.gamma
     finest = swept.clarity if swept.finer is None else swept.finer.parts
-    if sharp_everywhere:
-        picture = composite(images, size, centre, finest, block / found.along, times, gamma)
-    else:
-        n = int(np.bincount(finest.argmax(axis=0).ravel()).argmax())
-        picture = shrunk_frame(images[n], float(size[n]), centre, times, gamma)
+    picture = composite(images, size, centre, finest, block / found.along, times, gamma)
     camera = shrunk(whole, times)
     return Swept(camera, picture, focus_map(found, focus, fit.f_px, times, (camera.width, camera.height)))
 

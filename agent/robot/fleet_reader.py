@@ -225,10 +225,7 @@ def _place_rules(fleet: Fleet, name: str) -> Iterator[tuple[str, str]]:
     robot, tank, body = fleet.robot[name], fleet.tank, fleet.body
     for axis, at_m, size_m in zip("xy", (robot.pose.x_m, robot.pose.y_m), tank.size_m, strict=False):
         if not 0.0 <= at_m <= size_m:
-            yield (
-                f"pose.{axis}_m",
-                f"{at_m} is outside the tank; write metres from its corner, 0 to {size_m}",
-            )
+            yield (f"pose.{axis}_m", f"{at_m} is outside the tank; write metres from its corner, 0 to {size_m}")
     if robot.depth_m > tank.surface_m:
         yield "depth_m", f"{robot.depth_m} is below the floor; the water is {tank.surface_m} m deep"
     looks = ("pan", robot.look.pan_deg, body.pan_limit_deg), ("tilt", robot.look.tilt_deg, body.tilt_limit_deg)

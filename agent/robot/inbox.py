@@ -24,12 +24,7 @@ class Inbox(Revertible):
     """Counters of refusals by kind; the kinds are few, so a stranger cannot make them grow."""
 
     def __init__(
-        self,
-        targets: Mapping[str, TargetState],
-        tank: Tank,
-        common: str,
-        schema: int,
-        equipment: Equipment,
+        self, targets: Mapping[str, TargetState], tank: Tank, common: str, schema: int, equipment: Equipment
     ) -> None:
         """common: digest of what all fleet files share. schema: of the messages that are taken in. equipment: takes
         what is about no target."""

@@ -25,15 +25,7 @@ from agent.core.ranging.camera_model import (
     to_world,
 )
 from agent.core.ranging.pointing import Pointing, Search, SearchPattern, SearchPlan, off_centre_px, reachable
-from agent.core.ranging.sweep import (
-    SLACK_NS,
-    ByLight,
-    Measurement,
-    Rejected,
-    Sweep,
-    SweepPhase,
-    outline_of,
-)
+from agent.core.ranging.sweep import SLACK_NS, ByLight, Measurement, Rejected, Sweep, SweepPhase, outline_of
 from agent.core.ranging.sweep import next_phase as next_sweep_phase
 from agent.core.step_io import Sighting, SweepPlan, Telemetry
 from agent.core.step_transaction import Revertible

@@ -50,7 +50,7 @@ Array = NDArray[np.float64]
 PRIOR = np.array([0.7] * 6 + [0.2])
 # What disturbs a robot that is calibrated: a tether's pull of 0.05 N that forgets itself in 4 s, and no more.
 QUIET = Drift(speed=0.005, rate=0.02, push=0.006, twist=0.02, doubt_s=0.0)
-MIN_FIXES, MIN_SPEED_M_S, MIN_RATE_RAD_S = 60, 0.12, 0.3
+MIN_FIXES = 60
 MIN_COAST_S = 5.0  # of moving without force, altogether
 HUBER = 2.5  # standard deviations, beyond which a fix pulls with constant force
 PASSES, STEP, MOST, ENOUGH = 15, 0.02, 0.7, 0.005  # of the search; in logarithms

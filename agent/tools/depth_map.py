@@ -8,7 +8,6 @@ import csv
 import math
 from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -25,9 +24,6 @@ from agent.perception.tracking.follow import parse_box
 from agent.process.command import Failed, new_file, plain_console, with_bar
 from hw.camera import open_camera
 from hw.camera.camera import Image
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 # --- as a picture ---
 # A depth map as a picture, drawn by OpenCV: the library for figures takes longer to draw than the map to measure.
@@ -250,30 +246,6 @@ def _lines(
 
 def _written(values: Array, shape: str) -> Line:
     return ["" if value != value else format(value, shape) for value in values.tolist()]  # NaN is not itself
-
-
-def draw_cells(
-    axes: Axes,
-    values: Array,
-    block: float,
-    label: str,
-    limits: tuple[float, float] | None = None,
-    colours: str = "viridis",
-) -> None:
-    """One colour a square of `block` pixels, NaN hatched, with a scale; limits: values at its ends, if given."""
-    axes.patch.set(facecolor="0.88", edgecolor="0.65", hatch="///")  # seen through cells without a value
-    axes.set_aspect("equal")
-    shown = values[np.isfinite(values)]
-    if shown.size == 0:
-        return
-    # A few wrong peaks shall not take the colours of all others.
-    low, high = np.percentile(shown, (1, 99)) if limits is None else limits
-    rows, cols = values.shape
-    cells = axes.imshow(
-        np.ma.masked_invalid(values), extent=(0, cols * block, rows * block, 0), vmin=low, vmax=high, cmap=colours
-    )
-    bar = axes.inset_axes((1.03, 0.0, 0.04, 1.0))  # as high as the map, whatever its shape
-    axes.figure.colorbar(cells, cax=bar, label=label, extend="both")
 
 
 # --- `aucamp depth-map` ---

@@ -245,8 +245,7 @@ class _Problem:
         tag = step[:-1].reshape(-1, OWN)
         about = np.array([turn_of(one) for one in camera[:, :3]])
         cameras = Cameras(
-            about @ at.cameras.rotation,
-            np.einsum("mij,mj->mi", about, at.cameras.shift_m) + camera[:, 3:],
+            about @ at.cameras.rotation, np.einsum("mij,mj->mi", about, at.cameras.shift_m) + camera[:, 3:]
         )
         rotation = np.array([turn_of(one) for one in tag[:, 3:6]]) @ at.tags.rotation
         tags = Tags(at.tags.ids, at.tags.middle_m + tag[:, :3], rotation)

@@ -31,17 +31,7 @@ from agent.perception.enhancement.enhance import clahe, classic, network_enhance
 from agent.perception.enhancement.lu2net import LU2Net, run
 from agent.process.command import run_folder, with_bar
 from agent.tools.evaluate_enhance import Quality, judge, psnr, ssim, summary, table
-from agent.tools.training_pairs import (
-    Pairs,
-    augmented,
-    checkpoint_of,
-    folds,
-    load,
-    make_pairs,
-    read_pairs,
-    save,
-    split,
-)
+from agent.tools.training_pairs import Pairs, augmented, checkpoint_of, folds, load, make_pairs, read_pairs, save, split
 from agent.tools.training_scenes import Image
 
 # --- losses ---

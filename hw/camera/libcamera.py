@@ -119,10 +119,7 @@ def _tried(number: int, model: str, clock_ns: Callable[[], int]) -> Found:
 
 
 def open_libcamera(
-    place: str,
-    size: tuple[int, int] | None,
-    mains_hz: MainsHz = 50,
-    clock_ns: Callable[[], int] = machine.monotonic_ns,
+    place: str, size: tuple[int, int] | None, mains_hz: MainsHz = 50, clock_ns: Callable[[], int] = machine.monotonic_ns
 ) -> LibCamera:
     """Open the camera of this number; let its automatics settle and hold them.
 
@@ -178,12 +175,7 @@ class LibCamera:
     stamp: Stamp = "exposure-start"
 
     def __init__(
-        self,
-        device: Any,
-        name: str,
-        focus: FocusRange | None,
-        clock_ns: Callable[[], int],
-        undo: contextlib.ExitStack,
+        self, device: Any, name: str, focus: FocusRange | None, clock_ns: Callable[[], int], undo: contextlib.ExitStack
     ) -> None:
         self.size: tuple[int, int] = tuple(device.camera_configuration()["main"]["size"])
         self.exposure_ns = 0  # for how long frames are exposed, once it is held; 0: it cannot be set

@@ -162,10 +162,7 @@ def _write_truth(path: Path, fleet: Fleet, solids: dict[str, Solid], dive: Dive)
         "target_radii_m": {name: solid.radii_m for name, solid in solids.items()},
     }
     robots = {
-        name: {
-            "position_m": state["position_m"].tolist(),
-            "rpy_rad": euler_rad(state["quaternion"]),
-        }
+        name: {"position_m": state["position_m"].tolist(), "rpy_rad": euler_rad(state["quaternion"])}
         for name, state in zip(dive.robots, dive.states, strict=True)
     }
     creatures = {

@@ -126,12 +126,7 @@ class DiveCamera:
             return self._frame(seq, opens_ns + open_ns // 2, roi, exposure, open_ns)
 
     def _frame(
-        self,
-        seq: int,
-        middle_ns: int,
-        roi: Roi | None,
-        exposure: Exposure | None = None,
-        open_ns: int = EXPOSURE_NS,
+        self, seq: int, middle_ns: int, roi: Roi | None, exposure: Exposure | None = None, open_ns: int = EXPOSURE_NS
     ) -> Frame:
         middle, elevation_rad = self._moment(middle_ns)
         distance_m = self._vcm.image_distance_m(middle_ns, elevation_rad)

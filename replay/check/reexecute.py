@@ -380,9 +380,7 @@ class Tally:
         absolute, relative = difference.size
         old = self.fields.get(difference.plain, FieldCount(first=step.number))
         self.fields[difference.plain] = old._replace(
-            steps=old.steps + new_step,
-            absolute=max(old.absolute, absolute),
-            relative=max(old.relative, relative),
+            steps=old.steps + new_step, absolute=max(old.absolute, absolute), relative=max(old.relative, relative)
         )
 
 

@@ -238,14 +238,10 @@ def network_topic(name_text: str) -> tuple[topics.Topic, dict[str, str]] | None:
     return topics.match(name_text.removeprefix(ON_NETWORK)) if name_text.startswith(ON_NETWORK) else None
 
 
-def entry_on(
-    channel: Channel, log_time_ns: int, publish_time_ns: int, sequence: int, data: bytes, expendable: bool = False
-) -> Entry:
-    """A message on a channel whose name has nothing to fill in. An `expendable` one is lost before any other."""
+def entry_on(channel: Channel, log_time_ns: int, publish_time_ns: int, sequence: int, data: bytes) -> Entry:
+    """A message on a channel whose name has nothing to fill in."""
     metadata = {"schema": channel.schema} if channel.schema else {}
-    return Entry(
-        channel.name, log_time_ns, publish_time_ns, sequence, data, channel.encoding, metadata, expendable=expendable
-    )
+    return Entry(channel.name, log_time_ns, publish_time_ns, sequence, data, channel.encoding, metadata)
 
 
 @cache

@@ -69,10 +69,7 @@ def compressed(message: bytes) -> bytes:
 # Of a JPEG: 60 kB for a full frame of 640x480 with sensor noise, 1.1 ms; PNG: 520 kB, 16 ms. Colour is kept at full
 # resolution, unlike a JPEG's habit: it is by their colour that balls are found. That costs a quarter more bytes, and
 # vision sees a centre 0.06 px from where it was, not 0.2 px (median), and 0.3 px at worst, not 2 px.
-JPEG = [
-    *(cv2.IMWRITE_JPEG_QUALITY, 90),
-    *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444),
-]
+JPEG = [*(cv2.IMWRITE_JPEG_QUALITY, 90), *(cv2.IMWRITE_JPEG_SAMPLING_FACTOR, cv2.IMWRITE_JPEG_SAMPLING_FACTOR_444)]
 PNG = [cv2.IMWRITE_PNG_COMPRESSION, 1]
 # So many frames to one that is kept as PNG: on it `check --vision` holds vision to every bit. A dive of 45 s has two or
 # three of them, which make a black box larger by some 6 % (0.43 MB each, a JPEG 0.056 MB: 12 recordings of the twin).

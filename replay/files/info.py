@@ -244,10 +244,10 @@ def ending(about: Info) -> str:
     return f"finished, {about.end.get('cause', 'no cause given')}{torn}{old}"
 
 
-def damages(found: Sequence[Damage], most: int = 3) -> str:
-    """The first of them in words."""
-    more = f"; and {len(found) - most} more" if len(found) > most else ""
-    return "; ".join(each.what for each in found[:most]) + more
+def damages(found: Sequence[Damage]) -> str:
+    """The first three of them in words."""
+    more = f"; and {len(found) - 3} more" if len(found) > 3 else ""
+    return "; ".join(each.what for each in found[:3]) + more
 
 
 def _lines(about: Info) -> Iterator[str]:

@@ -88,10 +88,7 @@ def _checkout(root: Path) -> dict[str, str]:
         return {"commit": "unknown", "dirty": "unknown"}
     commit = _git(root, "rev-parse", "HEAD")
     changes = _git(root, "status", "--porcelain", "--untracked-files=no")
-    return {
-        "commit": commit or "unknown",
-        "dirty": "unknown" if changes is None else "yes" if changes else "no",
-    }
+    return {"commit": commit or "unknown", "dirty": "unknown" if changes is None else "yes" if changes else "no"}
 
 
 def _git(root: Path, *arguments: str) -> str | None:

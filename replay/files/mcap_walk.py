@@ -398,9 +398,9 @@ def _found(file: IO[bytes], start: int, size: int) -> int:
     return size
 
 
-def _begins(file: IO[bytes], at: int, size: int, others: int = 2) -> bool:
-    """Whether there is the head of a record and of `others` behind it, or the end of the file."""
-    for _ in range(others + 1):
+def _begins(file: IO[bytes], at: int, size: int) -> bool:
+    """Whether there is the head of a record and of two behind it, or the end of the file."""
+    for _ in range(3):
         if at == size:
             return True
         file.seek(at)

@@ -180,8 +180,8 @@ def thin(t_s: Array) -> slice:
     return slice(None, None, max(1, -(-len(t_s) // POINTS)))
 
 
-def hover(timeline: RobotTimeline, band_m: float = 0.010) -> dict[str, float] | None:
-    """Root mean square of depth error (mm) and tilt (deg) since the depth was first within `band_m` of its goal.
+def hover(timeline: RobotTimeline) -> dict[str, float] | None:
+    """Root mean square of depth error (mm) and tilt (deg) since the depth was first within 10 mm of its goal.
 
     None if it never was.
     """
@@ -189,7 +189,7 @@ def hover(timeline: RobotTimeline, band_m: float = 0.010) -> dict[str, float] | 
     if not timeline.set_depth_m or not len(p.t_s):
         return None
     wanted = timeline.set_depth_m[-1][1]
-    near = np.flatnonzero(np.abs(p.depth_m - wanted) < band_m)
+    near = np.flatnonzero(np.abs(p.depth_m - wanted) < 0.010)
     if not len(near):
         return None
     since = slice(int(near[0]), None)

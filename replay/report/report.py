@@ -17,9 +17,7 @@ from agent.robot.arbiter import priorities
 from replay.files.info import pace, suspecting
 from replay.files.log import read
 from replay.report import figures
-from replay.report import (
-    tables as report_tables,
-)
+from replay.report import tables as report_tables
 from replay.report.creature_track import creature_track, followed_table, lost_table
 from replay.report.lead import lead
 from replay.report.page import PAGE, Row, Section, Table, svg
@@ -287,10 +285,7 @@ def _surveying(run: Run, found: Surveyed | None) -> Iterator[Section]:
         "keyframes it holds: lines should lie on each other, for all tell each other all. Then from above what all "
         "keyframes together know, with the robots' ways and the places of their sweeps (crosses).",
         [report_tables.survey_table(found)],
-        [
-            svg(figures.known_over_time(run.fleet, found, run.start_ns or 0)),
-            svg(figures.floor_above(run.fleet, found)),
-        ],
+        [svg(figures.known_over_time(run.fleet, found, run.start_ns or 0)), svg(figures.floor_above(run.fleet, found))],
         False,
     )
 

@@ -198,10 +198,7 @@ def message_class(name: str) -> Any:
     message = file.message_type.add(name=name)
     for number, field in enumerate(PLOTS[name], start=1):
         message.field.add(
-            name=field,
-            number=number,
-            type=FieldDescriptorProto.TYPE_DOUBLE,
-            label=FieldDescriptorProto.LABEL_OPTIONAL,
+            name=field, number=number, type=FieldDescriptorProto.TYPE_DOUBLE, label=FieldDescriptorProto.LABEL_OPTIONAL
         )
     pool = DescriptorPool()
     pool.Add(file)

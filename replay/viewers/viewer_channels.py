@@ -14,25 +14,9 @@ import numpy as np
 from msgspec import UNSET
 from numpy.typing import NDArray
 
-from agent.capabilities.survey.coverage_map import (
-    ONE,
-    CoverageMap,
-    Key,
-    grid_of,
-    place_m,
-    places_m,
-)
+from agent.capabilities.survey.coverage_map import ONE, CoverageMap, Key, grid_of, place_m, places_m
 from agent.core import topics
-from agent.core.capability_messages import (
-    TURN_ONE,
-    Claim,
-    Frame,
-    Keyframe,
-    View,
-    claim_fault,
-    frame_fault,
-    holds,
-)
+from agent.core.capability_messages import TURN_ONE, Claim, Frame, Keyframe, View, claim_fault, frame_fault, holds
 from agent.core.codec import Refusal, decode
 from agent.core.config import Fleet
 from agent.core.messages import Image, LogLine, Message, State
@@ -222,11 +206,7 @@ class ViewerChannels:
     """Makes of an entry of a black box or a fleet file those for viewers: `LogWriter(derive=ViewerChannels(...))`."""
 
     def __init__(
-        self,
-        fleet: Fleet,
-        robot: str = "",
-        calibration: Calibration | None = None,
-        depth: MeasureDepth | None = None,
+        self, fleet: Fleet, robot: str = "", calibration: Calibration | None = None, depth: MeasureDepth | None = None
     ) -> None:
         """`robot` and its `calibration` for a black box; a fleet file needs neither.
 

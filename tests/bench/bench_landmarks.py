@@ -52,10 +52,7 @@ def judged(light: Pixels, px: Pixels, blur_px: float, noise_seed: int) -> Row:
     image = photograph(light, blur_px, NOISE, seed=noise_seed)
     for one in find_tags(image, CAMERA):
         if one.seen.edges:
-            return {
-                "ours_px": off_px(one.corners_px - px),
-                "theirs_px": off_px(searched(image, one.corners_px) - px),
-            }
+            return {"ours_px": off_px(one.corners_px - px), "theirs_px": off_px(searched(image, one.corners_px) - px)}
     return {"ours_px": None, "theirs_px": None}
 
 

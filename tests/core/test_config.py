@@ -422,10 +422,7 @@ class Outer(Struct, frozen=True, kw_only=True):
 
 @pytest.mark.parametrize(
     ("data", "key"),
-    [
-        ({"rows": [{"kind": "a"}, {"kind": "c"}]}, "rows[1].kind"),
-        ({"pair": [1, {"kind": "c"}]}, "pair[1].kind"),
-    ],
+    [({"rows": [{"kind": "a"}, {"kind": "c"}]}, "rows[1].kind"), ({"pair": [1, {"kind": "c"}]}, "pair[1].kind")],
 )
 def test_choices_are_named_in_lists_and_tuples_as_well(data: dict, key: str) -> None:
     with pytest.raises(ConfigError) as told:

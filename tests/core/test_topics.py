@@ -77,9 +77,7 @@ def test_both_ends_of_a_link_stand_in_its_key() -> None:
 
 
 @pytest.mark.parametrize("row", TOPICS, ids=lambda row: row.name)
-def test_every_row_has_a_message_and_room_for_two_seconds_of_it_unless_the_newest_stands_for_all(
-    row: Topic,
-) -> None:
+def test_every_row_has_a_message_and_room_for_two_seconds_of_it_unless_the_newest_stands_for_all(row: Topic) -> None:
     assert issubclass(row.message, Message)
     assert row.qos.buffer == 2 if row in (LINK, NEAR, CLAIM, KEYFRAME, LIGHT) else row.qos.buffer >= 2 * row.hz
 

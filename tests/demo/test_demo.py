@@ -168,7 +168,6 @@ FISH = fleet_file("fish").read_text()
 EEL = FISH.replace("target.fish", "target.eel").replace('"fish", s', '"eel", s')
 BOX = 'detector = "box"\npicture = "rock.png"\nbox = [0, 0, 9, 9]'
 ROCK = TANK.replace("[target.ball]", "[target.rock]").replace('detector = "ball"\nradius_m = 0.07', BOX)
-NETS = 'big.png"\nmodels = "nets'
 STONE = '[[solid]]\nkind = "stone"\nname = "rock"\nposition_m = [1, 1, 0]\nradii_m = [1, 1, 1]'
 SCENE = '\n[twin]\nscene = "SCENE"\n'
 
@@ -212,11 +211,7 @@ def test_what_is_not_asked_for_is_as_the_file_has_it(tmp_path: Path) -> None:
     ("text", "robots", "message"),
     [
         (TANK, 9, r"--robots 9: my.toml has 5; choose 1 to 5"),
-        (
-            NO_TWIN,
-            None,
-            r"'robot.r2.serial': '/dev/ttyACM0' is not in the twin, .*; write \"twin:r2\" in",
-        ),
+        (NO_TWIN, None, r"'robot.r2.serial': '/dev/ttyACM0' is not in the twin, .*; write \"twin:r2\" in"),
         (NO_TWIN.replace("/dev/ttyACM0", "twin:r2"), None, r"'robot.r2.camera'"),
         (ROCK, None, r"'target.rock': nothing in scene 'tank' has this name, .* write name = \"rock\" under a"),
         (ROCK + SCENE, None, r"rock.png: no picture for target 'rock'"),

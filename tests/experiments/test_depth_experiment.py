@@ -5,15 +5,7 @@ import pytest
 
 from agent.core.ranging.focus import lens_position
 from agent.experiments import depth
-from agent.experiments.still_camera import (
-    VIEWS,
-    StillCamera,
-    breathing,
-    facing_wall,
-    lens_positions,
-    sweep,
-    sweep_view,
-)
+from agent.experiments.still_camera import VIEWS, StillCamera, breathing, facing_wall, lens_positions, sweep, sweep_view
 from agent.perception.depth_sweep import clarity_of, measure
 from hw.camera.camera import Roi
 

@@ -71,9 +71,7 @@ def _text(text: str) -> bytes:
 
 MSGPACK = Form(msgpack.unpackb, lambda value: bytes(msgpack.packb(value)), mutate.bomb)
 TOML = Form(
-    lambda data: tomllib.loads(data.decode()),
-    lambda value: _text(tomli_w.dumps(_written(value))),
-    mutate.text_bomb,
+    lambda data: tomllib.loads(data.decode()), lambda value: _text(tomli_w.dumps(_written(value))), mutate.text_bomb
 )
 JSON = Form(json.loads, lambda value: _text(json.dumps(_written(value), ensure_ascii=False)), mutate.text_bomb)
 YAML = Form(yaml.safe_load, lambda value: _text(yaml.safe_dump(_written(value))), mutate.text_bomb)

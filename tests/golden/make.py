@@ -64,9 +64,7 @@ class Case(NamedTuple):
     strange: bool = False  # r1 is told what cannot be, by others and by its devices
 
 
-HARBOUR = Lighting(
-    water=WaterOptics(absorption_per_m=(0.55, 0.37, 0.45), scattering_per_m=(1.82, 1.82, 1.82)),
-)
+HARBOUR = Lighting(water=WaterOptics(absorption_per_m=(0.55, 0.37, 0.45), scattering_per_m=(1.82, 1.82, 1.82)))
 KEY = {name: Ed25519PrivateKey.from_private_bytes(name.encode() * 16) for name in ("r1", "r2", "r3")}  # no secrets
 TWO_M = {"ball": (0.55, 0.66, 0.07), "buoy": (0.92, 0.45, 0.05)}  # as hw/twin/scenes/two_balls.toml has them
 

@@ -59,10 +59,7 @@ def ca_of(path: Path) -> Pair:
     [
         (lambda ca: issue(ca, "r2", ["127.0.0.1"]), "wrong .*r1.pem: is of 'r2', not of r1; copy r1's own"),
         (lambda ca: issue(ca, "r1", ["10.0.0.1"]), "wrong .*good at 10.0.0.1, and r1 listens at 127.0.0.1; make it"),
-        (
-            lambda ca: issue(ca, "r1"),
-            "wrong .*good at nowhere, and r1 listens at 127.0.0.1; make it",
-        ),
+        (lambda ca: issue(ca, "r1"), "wrong .*good at nowhere, and r1 listens at 127.0.0.1; make it"),
         (lambda ca: issue(ca, "r1", ["127.0.0.1"], ends=NOW - DAY), "wrong .*r1.pem: ended on .*; make it again"),
         (lambda ca: issue(ca, "r1", ["127.0.0.1"], begins=NOW + DAY), "wrong .*begins on .*clock says .*; set it"),
         (lambda ca: issue(make_ca("twin"), "r1", ["127.0.0.1"]), "wrong .*r1.pem: not by the authority in ca.pem"),

@@ -211,10 +211,7 @@ def test_an_observer_gets_a_preview_of_the_largest_size(make_fleet: Callable[...
 
 def test_a_preview_that_is_too_large_is_not_taken(make_fleet: Callable[..., Fleet]) -> None:
     fleet, key = make_fleet({"r1": ()}), topics.key(IMAGE, fleet="test", robot="r1")
-    with (
-        zenoh.open(zenoh.Config.from_json5(peer_config(fleet, "r1"))) as r1,
-        Observer(fleet, time.time_ns) as watch,
-    ):
+    with zenoh.open(zenoh.Config.from_json5(peer_config(fleet, "r1"))) as r1, Observer(fleet, time.time_ns) as watch:
         seen: list[int] = []
 
         def both_sides_of_the_limit() -> bool:

@@ -1,9 +1,6 @@
 """The fleet recorder: all of a fleet's traffic, bytes unchanged, also when it is killed. On the wall: nobody dives."""
 
 import errno
-import signal
-import subprocess
-import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -24,7 +21,6 @@ from replay.files.log import Limits, LogWriter, info, read
 from replay.files.mcap_file import Part
 from router_config.settings import peer_config
 from tests.network.recorder_thread import StartRecorder, heard_everywhere
-from tests.places import ROOT
 from tests.waiting import until
 
 PAIR = {"r1": ("r2",), "r2": ("r1",)}
@@ -107,10 +103,7 @@ def test_strangers_are_counted_and_bad_payloads_kept(
 
 
 def test_viewer_channels_follow_what_robots_show(
-    make_fleet: Callable[..., Fleet],
-    state: Callable[..., State],
-    start_recorder: StartRecorder,
-    tmp_path: Path,
+    make_fleet: Callable[..., Fleet], state: Callable[..., State], start_recorder: StartRecorder, tmp_path: Path
 ) -> None:
     fleet = make_fleet({"r1": ()})
     out = tmp_path / "fleet.mcap"
@@ -131,10 +124,7 @@ def test_viewer_channels_follow_what_robots_show(
 
 
 def test_a_full_disk_ends_the_recording_and_not_the_swarm(
-    make_fleet: Callable[..., Fleet],
-    estimate: Callable[..., Estimate],
-    start_recorder: StartRecorder,
-    tmp_path: Path,
+    make_fleet: Callable[..., Fleet], estimate: Callable[..., Estimate], start_recorder: StartRecorder, tmp_path: Path
 ) -> None:
     fleet = make_fleet(PAIR)
     out = tmp_path / "fleet.mcap"
@@ -168,10 +158,7 @@ def test_a_recording_that_cannot_be_finished_is_no_success(
 
 
 def test_silence_is_told_once_and_leaves_no_file(
-    make_fleet: Callable[..., Fleet],
-    start_recorder: StartRecorder,
-    tmp_path: Path,
-    monkeypatch: pytest.MonkeyPatch,
+    make_fleet: Callable[..., Fleet], start_recorder: StartRecorder, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(replay.recorder, "SILENCE_S", 0.1)
     recorder = start_recorder(make_fleet(PAIR), tmp_path / "fleet.mcap")
@@ -228,55 +215,3 @@ def test_so_does_one_whose_file_is_mended_already_and_one_that_was_killed_in_a_l
         until(lambda: (file := tmp_path / "fleet.2.mcap.active").exists() and any(read(file)), MENDED_S)
     recorder.end()
     assert info(tmp_path / "fleet.2.mcap").complete
-
-
-RECORD = """
-import pathlib, signal, sys, threading
-from agent.robot.fleet_reader import load_fleet
-from agent.clock.clock import SystemClock
-from replay.recorder import record
-stop = threading.Event()
-signal.signal(signal.SIGTERM, lambda *_: stop.set())
-print(record(load_fleet(pathlib.Path(sys.argv[1])), pathlib.Path(sys.argv[2]), stop, SystemClock()))
-"""
-
-
-def states(path: Path) -> list[int]:
-    """Sequence numbers of all states in a file."""
-    return [item.sequence for item in read(path) if item.channel.endswith("/state")]
-
-
-@pytest.mark.parametrize("how", [signal.SIGTERM, signal.SIGKILL])
-def test_a_recorder_that_is_ended_or_killed_leaves_a_readable_file(
-    make_fleet: Callable[..., Fleet],
-    state: Callable[..., State],
-    tmp_path: Path,
-    how: signal.Signals,
-) -> None:
-    fleet = make_fleet({"r1": ()})
-    (tmp_path / "fleet.toml").write_text(dump(fleet))
-    out = tmp_path / "fleet.mcap"
-    active = tmp_path / "fleet.mcap.active"
-    command = [sys.executable, "-c", RECORD, tmp_path / "fleet.toml", out]
-    with (
-        Transport(fleet, "r1", time.time_ns) as r1,
-        subprocess.Popen(command, stdout=subprocess.PIPE, cwd=ROOT) as process,
-    ):
-        try:
-            seqs = iter(range(100_000))
-
-            def recorded() -> bool:
-                r1.show(state("r1", next(seqs)))
-                return active.exists() and active.stat().st_size > 0 and len(states(active)) > 20
-
-            until(recorded, timeout_s=60)
-            process.send_signal(how)
-            process.wait(timeout=60)
-        finally:
-            process.kill()
-    assert process.returncode == (0 if how == signal.SIGTERM else -signal.SIGKILL)
-    file = out if how == signal.SIGTERM else active
-    recorded_states = states(file)
-    assert recorded_states == list(range(recorded_states[0], recorded_states[0] + len(recorded_states)))
-    assert len(recorded_states) > 20
-    assert info(file).complete is (how == signal.SIGTERM)

@@ -75,10 +75,7 @@ def test_a_tag_in_a_mirror_is_none(number):
 
 
 def test_a_frame_with_several():
-    truths = {
-        3: (turned(20, 30, 80), (-0.07, 0.05, 0.55)),
-        1: (turned(-30, -10, -30), (0.09, -0.05, 0.7)),
-    }
+    truths = {3: (turned(20, 30, 80), (-0.07, 0.05, 0.55)), 1: (turned(-30, -10, -30), (0.09, -0.05, 0.7))}
     camera = at_lens_position(CAMERA, 500)
     light = scene_light(*((number, *place) for number, place in truths.items()), camera=camera)
     seen = seen_tags(photograph(light, 2.0, noise=0.01), CAMERA, 500, t_ns=7, frame=3)

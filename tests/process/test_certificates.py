@@ -85,14 +85,6 @@ def test_key_files_are_their_owners_from_the_first_moment_on(tmp_path: Path, mon
     assert [stat.S_IMODE((tmp_path / name).stat().st_mode) for name in ("ca.key", "ca.pem")] == [0o600, 0o644]
 
 
-@pytest.mark.parametrize("there", ["ca.key", "ca.pem"])
-def test_nothing_is_overwritten_and_no_half_is_left(there: str, tmp_path: Path) -> None:
-    (tmp_path / there).write_text("dear")
-    with pytest.raises(ConfigError, match=f"{there}: exists, and keys are never overwritten"):
-        write(tmp_path, "ca", make_ca("tank"))
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {there: "dear"}
-
-
 def test_files_are_read_back_or_refused_with_what_to_do(tmp_path: Path) -> None:
     ca = make_ca("tank")
     for name in ("r1", "r2"):
@@ -236,7 +228,9 @@ def test_a_certificate_is_renewed_and_the_signing_keys_stay(made: tuple[Fleet, P
     assert (keys / "r1.sign").read_bytes() == word
 
 
-@pytest.mark.parametrize("there", ["ca.key", "ca.pem", "r3.pem", "ann.key", "r2.sign", "zenoh-cli.json5"])
+@pytest.mark.parametrize(
+    "there", ["ca.key", "ca.pem", "r3.pem", "ann.key", "r2.sign", "r2.sign.pub", "zenoh-cli.json5"]
+)
 def test_nothing_is_overwritten_and_nothing_is_half_made(path: Path, there: str) -> None:
     keys = path.parent / "keys"
     keys.mkdir()

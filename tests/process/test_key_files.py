@@ -1,7 +1,6 @@
 """Keys as files: who may read them, what is never overwritten, and what is said of files that are no such keys."""
 
 import os
-import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -46,20 +45,6 @@ def keys(tmp_path: Path) -> Path:
     return tmp_path / "keys"
 
 
-def mode(path: Path) -> int:
-    return stat.S_IMODE(path.stat().st_mode)
-
-
-def test_a_private_key_is_its_owners_whatever_the_umask(tmp_path: Path) -> None:
-    before = os.umask(0)
-    try:
-        made = make_keys(["r1", "r2"], tmp_path / "keys")
-    finally:
-        os.umask(before)
-    assert [path.name for path in made] == ["r1.sign", "r1.sign.pub", "r2.sign", "r2.sign.pub"]
-    assert [mode(path) for path in made] == [0o600, 0o644] * 2
-
-
 def test_a_private_key_is_never_open_to_others_not_even_while_it_is_made(tmp_path, monkeypatch) -> None:
     """A mode that is set after the file was made leaves a moment in which anybody can open it."""
     opened = {}
@@ -80,14 +65,6 @@ def test_both_files_are_halves_of_one_pair_and_no_two_pairs_are_the_same(keys: P
     assert len(set(publics)) == len(publics) and {len(key) for key in publics} == {32}
     for name, public in zip(FLEET.robot, publics, strict=True):
         assert verify_signature(public, read_private(keys / f"{name}.sign").sign(b"said"), b"said")
-
-
-@pytest.mark.parametrize("there", ["r2.sign", "r2.sign.pub"])
-def test_nothing_is_overwritten_and_nothing_is_half_made(there: str, tmp_path: Path) -> None:
-    (tmp_path / there).write_text("dear")
-    with pytest.raises(ConfigError, match=f"{there}: exists, .* never overwritten; give --out a new folder"):
-        make_keys(["r1", "r2", "r3"], tmp_path)
-    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {there: "dear"}
 
 
 def test_a_failure_half_way_leaves_nothing_in_the_way_of_the_next_attempt(tmp_path, monkeypatch) -> None:

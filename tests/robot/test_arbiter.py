@@ -97,10 +97,7 @@ def test_a_sweep_is_a_targets_or_a_views_from_its_first_step_on(of: str) -> None
     assert begun
 
 
-WORLDS: dict[str, Callable] = {
-    "fish": lambda: DarkFish(1, 0.15, 10.0),
-    "dark survey": lambda: DarkSurvey(1),
-}
+WORLDS: dict[str, Callable] = {"fish": lambda: DarkFish(1, 0.15, 10.0), "dark survey": lambda: DarkSurvey(1)}
 
 
 @pytest.mark.parametrize("kind", WORLDS)

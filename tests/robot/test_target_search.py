@@ -38,8 +38,7 @@ def test_it_waits_before_it_believes_that_a_target_is_lost(target_search) -> Non
 def test_after_a_look_elsewhere_it_turns_to_the_target_at_once(target_search) -> None:
     now_ns = target_search.pointing.steady_from_ns + STEP_NS
     target_search.add_sighting(
-        Sighting(t_ns=now_ns, frame=1, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0),
-        LightView(),
+        Sighting(t_ns=now_ns, frame=1, target="ball", found=True, centre_px=(320.0, 240.0), radius_px=40.0), LightView()
     )
     plan = act(target_search, now_ns)
     for index, lens in enumerate(plan.focus[1:], start=1):  # a peak at 300

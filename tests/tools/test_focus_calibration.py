@@ -94,10 +94,7 @@ def test_the_papers_calibration_in_centimetres():
     assert 0.985 < np.median(r2) < 0.996
 
 
-@pytest.mark.parametrize(
-    ("distances", "word"),
-    [(DISTANCES_M[:5], "distances"), (np.linspace(0.8, 1.2, 12), "1/u")],
-)
+@pytest.mark.parametrize(("distances", "word"), [(DISTANCES_M[:5], "distances"), (np.linspace(0.8, 1.2, 12), "1/u")])
 def test_too_little_is_refused(distances, word):
     assert issubclass(CalibrationRefused, Failed), "a user sees one line, and exit code 1"
     with pytest.raises(CalibrationRefused, match=word):

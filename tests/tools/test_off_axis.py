@@ -33,10 +33,7 @@ def off_axis(name: str, block: int = BLOCK) -> np.ndarray:
     made = json.loads((folder / "scene.json").read_text())
     index, port_m, focal_m = made["n_water"], made["port_m"], made["focal_length_m"]
     focus = replace(
-        FOCUS,
-        u_inf_m=port_m + index * (focal_m - port_m),
-        b_m=index * focal_m**2 / (made["step_um"] * 1e-6),
-        rho0=0.0,
+        FOCUS, u_inf_m=port_m + index * (focal_m - port_m), b_m=index * focal_m**2 / (made["step_um"] * 1e-6), rho0=0.0
     )
     camera = CameraFit(
         width_px=SIZE[0],

@@ -453,11 +453,7 @@ def choose(
 
 
 def _best(
-    own: str | None,
-    scene: Scene | FrameScene,
-    places_m: Mapping[str, Vector],
-    free: set[str],
-    lighting: Lighting,
+    own: str | None, scene: Scene | FrameScene, places_m: Mapping[str, Vector], free: set[str], lighting: Lighting
 ) -> Choice | FrameChoice | None:
     """By the rule. Of a robot without a lamp it starts from each of the others in turn."""
     starts = [own] if own is not None else sorted(free)

@@ -237,10 +237,7 @@ class Best(NamedTuple):
 
 
 def better(
-    best: Best | None,
-    candidate: Candidate,
-    by: Ahead,
-    allowed: Callable[[Candidate], bool] = lambda _: True,
+    best: Best | None, candidate: Candidate, by: Ahead, allowed: Callable[[Candidate], bool] = lambda _: True
 ) -> Best | None:
     """The better of the two; the first of equals, and nothing for what is not allowed or gains nothing."""
     if not allowed(candidate):

@@ -38,16 +38,7 @@ from agent.capabilities.survey.coverage_map import (
 from agent.capabilities.survey.exchange import Exchange
 from agent.capabilities.swim.barrier import MARGIN_M, WALL_M, Planar
 from agent.core.attitude import AttitudeLog
-from agent.core.capability import (
-    CameraAct,
-    Capability,
-    Context,
-    Outgoing,
-    Proposal,
-    Situation,
-    Spoiled,
-    eye_of,
-)
+from agent.core.capability import CameraAct, Capability, Context, Outgoing, Proposal, Situation, Spoiled, eye_of
 from agent.core.capability_messages import (
     BEND_ONE,
     MOST_BLOCKS,

@@ -8,10 +8,7 @@ from typing import NamedTuple
 
 from agent.capabilities.swim.landmarks import Marker, facing
 from agent.core.attitude import Attitude
-from agent.core.config import (
-    Body,
-    Pose,
-)
+from agent.core.config import Body, Pose
 from agent.core.ranging.camera_model import CameraFit, look_at
 from agent.core.step_transaction import Revertible
 
@@ -96,12 +93,7 @@ class LandmarkLook(Revertible):
         self._looked_at.clear()
 
     def tilt_aside_deg(
-        self,
-        way: tuple[float, float],
-        most_deg: float,
-        before_deg: float,
-        pose: Pose,
-        level: Attitude,
+        self, way: tuple[float, float], most_deg: float, before_deg: float, pose: Pose, level: Attitude
     ) -> float:
         """How far above a target to look, by most_deg at most either way, so that its picture shows landmarks too.
 

@@ -109,13 +109,7 @@ OFF_M = 0.02  # from its face: a plate is thinner
 
 
 def on_face(
-    id: int,
-    middle_m: Vector,
-    right: Vector,
-    up: Vector,
-    tank: Tank,
-    off_m: float = OFF_M,
-    lean_deg: float = LEAN_DEG,
+    id: int, middle_m: Vector, right: Vector, up: Vector, tank: Tank, off_m: float = OFF_M, lean_deg: float = LEAN_DEG
 ) -> Tag | str:
     """The tag, its middle as it is; or why it lies on no wall or floor. right, up: its own, as seen, unit vectors."""
     out = cross(right, up)

@@ -38,16 +38,7 @@ from agent.capabilities.swim.pose_filter import Belief, Wrench
 from agent.capabilities.swim.search import Hunt, Surroundings, velocity_m_s
 from agent.core.attitude import Attitude, AttitudeLog
 from agent.core.capability import BodyAct, CameraAct, CameraView, Situation, SwimPhase
-from agent.core.config import (
-    Behaviour,
-    Fleet,
-    Follow,
-    Hold,
-    Pose,
-    Robot,
-    Search,
-    Survey,
-)
+from agent.core.config import Behaviour, Fleet, Follow, Hold, Pose, Robot, Search, Survey
 from agent.core.estimation.interface import Posterior
 from agent.core.estimation.protocols import dynamics, pursued
 from agent.core.linear_algebra import wrap

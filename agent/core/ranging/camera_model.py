@@ -243,13 +243,7 @@ def camera_pose(
 
 
 def look_at(
-    point_m: Vector,
-    pose: Pose,
-    body: Body,
-    depth_m: float,
-    roll_deg: float,
-    pitch_deg: float,
-    surface_m: float,
+    point_m: Vector, pose: Pose, body: Body, depth_m: float, roll_deg: float, pitch_deg: float, surface_m: float
 ) -> tuple[float, float]:
     """(pan, tilt) that bring a point of the world onto the optical axis."""
     pivot, world_body = _pivot(pose, body, depth_m, roll_deg, pitch_deg, surface_m)

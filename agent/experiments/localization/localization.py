@@ -78,7 +78,7 @@ CASES: dict[str, dict[str, Case]] = {
     "moving-wrong": {
         "moving-3-wrong": Case(
             "evidence", "full", 3, 1, (60,), loss=0.3, systematic=True, outlier_mm=300.0, speed_mm_s=20.0, says=10
-        ),
+        )
     },
 }
 

@@ -281,9 +281,9 @@ class TwinBodies:
 
 
 @contextlib.contextmanager
-def twin_bodies(fleet: Fleet, *, pull: Pull = PULL) -> Iterator[TwinBodies]:
+def twin_bodies(fleet: Fleet) -> Iterator[TwinBodies]:
     """Boot them; they swim freely once they are armed."""
-    dive = Dive(fleet, list(fleet.robot), START_NS, scene=Scene(name="basin", moored=False, tether_pull=pull))
+    dive = Dive(fleet, list(fleet.robot), START_NS, scene=Scene(name="basin", moored=False, tether_pull=PULL))
     with hosts_of(dive) as hosts:
         yield TwinBodies(dive, hosts)
 

@@ -38,10 +38,7 @@ def hold(seed: int) -> Row:
     watched = path[path[:, 0] > SETTLE_S]
     off = watched[:, 1:3] - (x, y)
     turned = np.array([wrap(psi - yaw) for psi in watched[:, 3]])
-    return {
-        "rms_mm": rms(1e3 * np.hypot(*off.T)),
-        "yaw_rms_deg": rms(np.degrees(turned)),
-    }
+    return {"rms_mm": rms(1e3 * np.hypot(*off.T)), "yaw_rms_deg": rms(np.degrees(turned))}
 
 
 def goto(seed: int) -> Row:
@@ -103,12 +100,7 @@ def settled_s(t_s: NDArray[np.float64], off: NDArray[np.float64], limit: float) 
 
 
 def _swum(
-    seed: int,
-    pose: Pose,
-    what: Behaviour | None,
-    look: Look,
-    seconds: float,
-    sees: Callable[[int], bool] | None = None,
+    seed: int, pose: Pose, what: Behaviour | None, look: Look, seconds: float, sees: Callable[[int], bool] | None = None
 ) -> Path:
     """The true path, from when it first asks for a force; t from then."""
     fleet = basin.fleet({"r1": basin.robot("r1", pose, what, look)}, seed)

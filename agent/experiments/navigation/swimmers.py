@@ -221,12 +221,7 @@ class DrawnTarget:
         self._target, self._path, self._frames = next(iter(fleet.target)), path, 0
 
     def sight(
-        self,
-        pose: RobotPose,
-        t_ns: int,
-        plan: SweepPlan | None = None,
-        index: int = -1,
-        before: Sequence[Pillar] = (),
+        self, pose: RobotPose, t_ns: int, plan: SweepPlan | None = None, index: int = -1, before: Sequence[Pillar] = ()
     ) -> Sighting:
         """The newest frame; plan, index: at which position of which sweep. before: what may be before the target, and
         hides it where its middle is behind."""

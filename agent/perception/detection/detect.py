@@ -292,20 +292,12 @@ def find_ball(
     return best
 
 
-def find_balls(
-    image: Image,
-    camera: CameraFit,
-    origin_px: tuple[int, int] = (0, 0),
-    colour: Colour | ColourModel = "red",
-    limit: float = LIMIT,
-    by_lamps: bool = False,
-) -> list[Ball]:
+def find_balls(image: Image, camera: CameraFit, colour: Colour | ColourModel = "red") -> list[Ball]:
     """All balls of that colour, the most convincing first; of two that overlap only that one."""
     model = NAMED[colour] if isinstance(colour, str) else colour
-    origin = np.asarray(origin_px, float)
     picture = exposed(image)
-    candidates = (_ball(picture, spot, camera, origin, model, by_lamps, limit) for spot in spots(picture, model))
-    sure = [ball for ball in candidates if ball is not None and ball.score >= limit]
+    candidates = (_ball(picture, spot, camera, np.zeros(2), model, False, LIMIT) for spot in spots(picture, model))
+    sure = [ball for ball in candidates if ball is not None and ball.score >= LIMIT]
     balls: list[Ball] = []
     for ball in sorted(sure, key=lambda one: one.score, reverse=True):
         if not any(math.dist(ball.centre_px, o.centre_px) < max(ball.radius_px, o.radius_px) for o in balls):
@@ -356,13 +348,7 @@ def _roomy(found: Patch, radius_px: float) -> float:
 
 
 def _ball(
-    picture: Picture,
-    spot: Spot,
-    camera: CameraFit,
-    origin: Array,
-    model: ColourModel,
-    by_lamps: bool,
-    least: float,
+    picture: Picture, spot: Spot, camera: CameraFit, origin: Array, model: ColourModel, by_lamps: bool, least: float
 ) -> Ball | None:
     """What a closer look makes of a spot: once over a wide band, once over as narrow a one as the blur allows.
 

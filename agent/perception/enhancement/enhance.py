@@ -143,10 +143,10 @@ class Colours(NamedTuple):
     size: tuple[int, int]  # width, height of the full frame, pixels
 
 
-def estimate_colours(image: Image, network: Callable[[Image], Floats], small_px: int = SMALL_PX) -> Colours:
+def estimate_colours(image: Image, network: Callable[[Image], Floats]) -> Colours:
     """`network` maps a picture (h, w, 3) uint8 to one of float32, full scale 1, both blue green red."""
     height, width = image.shape[:2]
-    small = shrunk(image, small_px)
+    small = shrunk(image, SMALL_PX)
     guide = np.asarray(small, np.float32) / np.float32(255)
     wanted = network(np.ascontiguousarray(small, np.uint8))
     gain = balance(guide, wanted)
@@ -199,10 +199,10 @@ def apply_colours(colours: Colours, image: Image, origin: tuple[int, int] = (0, 
     return out
 
 
-def guided_filter(guide: Floats, wanted: Floats, radius: int = RADIUS, epsilon: float = EPSILON) -> Floats:
+def guided_filter(guide: Floats, wanted: Floats) -> Floats:
     """(h, w, 3) and (h, w, 3) -> (h, w, 3, 4): in each window the affine map with the least squared error, averaged
     over the windows that hold a pixel."""
-    window = (2 * radius + 1, 2 * radius + 1)
+    window = (2 * RADIUS + 1, 2 * RADIUS + 1)
 
     def mean(x: Floats) -> Floats:
         return np.asarray(cv2.blur(x, window, borderType=cv2.BORDER_REFLECT_101), np.float32).reshape(x.shape)
@@ -213,7 +213,7 @@ def guided_filter(guide: Floats, wanted: Floats, radius: int = RADIUS, epsilon: 
     covariance = np.concatenate(upper, axis=2) - around[..., i] * around[..., j]
     cross = np.stack([mean(guide * wanted[..., c : c + 1]) - around * target[..., c : c + 1] for c in range(3)], axis=2)
     affine = np.empty((*guide.shape, 4), np.float32)
-    _solve(covariance, cross, around, target, epsilon, affine)
+    _solve(covariance, cross, around, target, EPSILON, affine)
     return np.stack([mean(np.ascontiguousarray(affine[:, :, c])) for c in range(3)], axis=2)
 
 

@@ -64,13 +64,10 @@ class LampTables(NamedTuple):
 
 
 def lamp_tables(
-    absorption_per_m: tuple[float, ...],
-    scattering_per_m: tuple[float, ...],
-    shading: ShadingTables,
-    water: Scattering | None = None,
+    absorption_per_m: tuple[float, ...], scattering_per_m: tuple[float, ...], shading: ShadingTables
 ) -> LampTables:
-    """`water`: another table of scattering; None: all orders of scattering."""
-    water = water or scattering(absorption_per_m, scattering_per_m)
+    """All orders of scattering."""
+    water = scattering(absorption_per_m, scattering_per_m)
     extinct = np.asarray(absorption_per_m) + np.asarray(scattering_per_m)
     lengths = len(shading.path)
     ways = Ways(transmission(water.extinct, lengths), transmission(extinct, lengths))

@@ -105,15 +105,7 @@ class Painter:
         if known.absorption_per_m is not None and known.scattering_per_m is not None:
             self._lamps = lamp_tables(known.absorption_per_m, known.scattering_per_m, self._tables)
             if self._lens.width > 16 * METERING_STEP_PX:
-                others = (
-                    self._scene,
-                    self._tank,
-                    self._index,
-                    coarse(self._lens),
-                    self._seed,
-                    self._robot,
-                    self._tags,
-                )
+                others = (self._scene, self._tank, self._index, coarse(self._lens), self._seed, self._robot, self._tags)
                 self._meter = Painter(*others)
                 self._meter.prepare()
             self._warm_up()
@@ -256,13 +248,7 @@ class Painter:
         return make_view(moment, image_distance_m, self._lens, self._index, self._box_m)
 
     def _lit(
-        self,
-        moment: Moment,
-        view: View,
-        image_distance_m: float,
-        part: Part,
-        depth: Floats,
-        identity: Identities,
+        self, moment: Moment, view: View, image_distance_m: float, part: Part, depth: Floats, identity: Identities
     ) -> Floats:
         """Linear radiance (h, w, 3) of a part of which trace has found z-depth and identity."""
         assert self._tables is not None

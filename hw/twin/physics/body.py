@@ -348,11 +348,7 @@ def to_world(q: Quaternion, v: Vector) -> Vector:
     r = (q[1], q[2], q[3])
     t = cross(r, v)
     s = cross(r, t)
-    return (
-        v[0] + 2 * (q[0] * t[0] + s[0]),
-        v[1] + 2 * (q[0] * t[1] + s[1]),
-        v[2] + 2 * (q[0] * t[2] + s[2]),
-    )
+    return (v[0] + 2 * (q[0] * t[0] + s[0]), v[1] + 2 * (q[0] * t[1] + s[1]), v[2] + 2 * (q[0] * t[2] + s[2]))
 
 
 @compiled()

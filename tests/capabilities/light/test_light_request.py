@@ -9,14 +9,7 @@ from msgspec.structs import replace
 
 from agent.capabilities.light.allocate import Choice
 from agent.capabilities.light.lease import Bound, Party
-from agent.capabilities.light.light_request import (
-    RANGES_M,
-    SHOWN_NS,
-    SHOWS,
-    SHOWS_SIDE,
-    LightSearch,
-    glimpsed_m,
-)
+from agent.capabilities.light.light_request import RANGES_M, SHOWN_NS, SHOWS, SHOWS_SIDE, LightSearch, glimpsed_m
 from agent.core.attitude import Attitude
 from agent.core.capability import LightView, Situation
 from agent.core.capability_messages import Lease

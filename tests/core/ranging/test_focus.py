@@ -5,15 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from agent.core.ranging.focus import (
-    NoPeak,
-    Peak,
-    fit_peak,
-    fit_peaks,
-    h,
-    lens_position,
-    range_variance,
-)
+from agent.core.ranging.focus import NoPeak, Peak, fit_peak, fit_peaks, h, lens_position, range_variance
 from tests.known_lens import FITTED as FIT
 
 SWEEP = np.linspace(0, 1023, 30).round()

@@ -162,4 +162,3 @@ class Theme:
                 except (TypeError, AttributeError, OverflowError):  # an epoch that is none cannot be signed
                     return gossip
         return gossip
-        return gossip

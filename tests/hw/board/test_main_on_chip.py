@@ -280,15 +280,7 @@ def test_everything_that_the_board_imports_is_there_and_nothing_else(folder):
     made = board_files.build(folder)
     names = {path.name for path in made}
     assert set(made) == {folder / "boot.py", *(folder / "a").iterdir()} == {*folder.glob("*.*"), *folder.glob("a/*")}
-    assert {
-        "main.py",
-        "boot.py",
-        "hal_stm32.mpy",
-        "pins.mpy",
-        "wiring.mpy",
-        "ms5837.mpy",
-        "slots.mpy",
-    } <= names
+    assert {"main.py", "boot.py", "hal_stm32.mpy", "pins.mpy", "wiring.mpy", "ms5837.mpy", "slots.mpy"} <= names
     assert not [name for name in names if "unix" in name or name.startswith(("__init__", "bus."))]
     there = {f"{path.stem}.mpy" for path in board_files.FIRMWARE.glob("*.py")}
     assert names - {"main.py", "boot.py"} <= there

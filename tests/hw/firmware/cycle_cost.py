@@ -1,29 +1,17 @@
-# What a control cycle costs on whichever interpreter runs this:
-#   cycle_cost.py FIRMWARE_DIR LAW CYCLES us|bytes|plain|kept
+# What memory a control cycle costs, under MicroPython:
+#   cycle_cost.py FIRMWARE_DIR LAW CYCLES plain|kept
 #
 # The whole of main.Firmware.step, armed, set-points at 20 Hz and telemetry at 50 Hz, over hardware that costs nothing.
-# Prints the median time of a cycle in us, the mean memory that one takes in bytes, the most that one takes which
-# neither hears nor says anything, or the bytes that the last holds more than the hundredth after a collection
-# (MicroPython alone can say).
+# Prints the most memory in bytes that a cycle takes which neither hears nor says anything, or the bytes that the last
+# holds more than the hundredth after a collection.
 # ruff: noqa: T201 - this is a program
 import gc
 import sys
-import time
 
 sys.path.insert(0, sys.argv[1])
 import failsafe
 import main
 import wire
-
-if hasattr(time, "ticks_us"):
-    now_us, since_us = time.ticks_us, time.ticks_diff
-else:
-
-    def now_us():
-        return time.perf_counter_ns() // 1000
-
-    def since_us(after, before):
-        return after - before
 
 
 class Hal:
@@ -132,11 +120,7 @@ def run(law, cycles, read, difference, plain=False):
 
 gc.disable()
 _, _, law, cycles, what = sys.argv
-if what == "us":
-    print(sorted(run(law, int(cycles), now_us, since_us))[int(cycles) // 2])
-elif what == "bytes":
-    print(sum(run(law, int(cycles), gc.mem_alloc, lambda after, before: after - before)) / int(cycles))
-elif what == "plain":
+if what == "plain":
     print(max(run(law, int(cycles), gc.mem_alloc, lambda after, before: after - before, True)))
 else:
 

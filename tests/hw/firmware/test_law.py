@@ -156,7 +156,6 @@ def test_no_windup_against_the_floor():
 
 
 REACTION = (1, -1, 1, -1)  # a propeller's torque: neighbours turn opposite ways
-ARMS_M = np.array([1.0, ARM_Y_M, ARM_X_M])
 
 
 def central(wrench: np.ndarray) -> tuple[np.ndarray, np.ndarray, bool]:

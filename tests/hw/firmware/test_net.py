@@ -131,10 +131,7 @@ def test_a_tare_that_breaks_off_is_refused_once_and_no_order_waits_for_it(part, 
     board.answers(wire.TARE, 2, board.boot_id, 0)
     monkeypatch.setattr(board.firmware.tether.orders._tare, part, breaks)
     board.tick(250)
-    assert [ack[:3] for ack in board.heard(wire.ACK)] == [
-        (2, wire.TARE, wire.RUNNING),
-        (2, wire.TARE, wire.REFUSED),
-    ]
+    assert [ack[:3] for ack in board.heard(wire.ACK)] == [(2, wire.TARE, wire.RUNNING), (2, wire.TARE, wire.REFUSED)]
     ((_, fields),) = board.answers(wire.PARAM_SAVE, 3, board.boot_id)
     assert fields[2] == wire.OK and board.faults == 1
 

@@ -91,13 +91,7 @@ def telemetry(board: BareBoard, **values: Any) -> dict[str, Any]:
     board.hal.from_board.clear()
     framer.feed(chunk, len(chunk))
     ((_, _, _, flags, *rest),) = frames
-    return {
-        "flags": flags,
-        "zeta": rest[:4],
-        "tilt": rest[4:6],
-        "depth": rest[6],
-        "disturbance": rest[7:10],
-    }
+    return {"flags": flags, "zeta": rest[:4], "tilt": rest[4:6], "depth": rest[6], "disturbance": rest[7:10]}
 
 
 def off(said: list[int], exact: list[float], per_million: float) -> float:

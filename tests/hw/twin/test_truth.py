@@ -123,10 +123,7 @@ def test_targets_stay_where_the_truth_says():
 
 
 def test_cameras_see_the_stage_at_their_own_times():
-    events = (
-        TagLost(at_s=0.50, id=12),
-        Occlude(at_s=0.50, solid=1, to_m=(1.0, 1.0, 0.1), over_s=1.0),
-    )
+    events = (TagLost(at_s=0.50, id=12), Occlude(at_s=0.50, solid=1, to_m=(1.0, 1.0, 0.1), over_s=1.0))
     scene = Scene(name="swim", moored=False, solid=(BALL, STONE), event=events)
     dive = Dive(FLEET, list(FLEET.robot), 0, scene=scene)
     notebook, seen = Notebook(), []

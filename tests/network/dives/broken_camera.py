@@ -5,35 +5,18 @@ import socket
 import threading
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Literal
-
-import numpy as np
 
 from agent.process.command import temporary_folder
 from hw.camera.camera import Roi
-from hw.camera.frame_socket import (
-    FULL,
-    OK,
-    READ,
-    REPLY_SIZE,
-    REQUEST_SIZE,
-    Reply,
-    pack_reply,
-    parse_reply,
-    parse_request,
-)
-
-Fault = Literal["empty", "again", "still", "silent"]
+from hw.camera.frame_socket import OK, READ, REPLY_SIZE, REQUEST_SIZE, pack_reply, parse_reply, parse_request
 
 
 class BrokenCamera:
-    """While `broken`, frames have 0 x 0 pixels ("empty"), are one frame again and again ("again") or new ones with one
-    picture ("still"), or do not come at all ("silent")."""
+    """While `broken`, frames have 0 x 0 pixels."""
 
     def __init__(self) -> None:
-        self.broken: Fault | None = None
+        self.broken = False
         self.spoiled = 0  # frames
-        self._whole = 0, 0, np.empty((0, 0, 3), np.uint8)  # the newest whole frame: number, time, picture
 
     @contextlib.contextmanager
     def between(self, twin: Path) -> Iterator[Path]:
@@ -64,24 +47,10 @@ class BrokenCamera:
         header = exactly(camera, REPLY_SIZE)
         reply = parse_reply(header)
         payload = exactly(camera, reply.nbytes)
-        if parse_request(asked).verb == READ and reply.status == OK:
-            if self.broken is not None:
-                self.spoiled += 1
-                header, payload = self._spoilt(reply)
-            elif parse_request(asked).roi == FULL:
-                picture = np.frombuffer(payload, np.uint8).reshape(reply.roi.height, reply.roi.width, 3)
-                self._whole = reply.seq, reply.t_ns, picture
-        if self.broken != "silent":
-            client.sendall(header + payload)
-
-    def _spoilt(self, reply: Reply) -> tuple[bytes, bytes]:
-        seq, t_ns, picture = self._whole
-        if self.broken == "empty":
-            return pack_reply(reply._replace(roi=Roi(0, 0, 0, 0), nbytes=0)), b""
-        if self.broken == "again":
-            reply = reply._replace(seq=seq, t_ns=t_ns)
-        x, y, width, height = reply.roi
-        return pack_reply(reply), picture[y : y + height, x : x + width].tobytes()
+        if self.broken and parse_request(asked).verb == READ and reply.status == OK:
+            self.spoiled += 1
+            header, payload = pack_reply(reply._replace(roi=Roi(0, 0, 0, 0), nbytes=0)), b""
+        client.sendall(header + payload)
 
 
 def exactly(connection: socket.socket, count: int) -> bytes:

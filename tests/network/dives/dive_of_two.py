@@ -13,13 +13,12 @@ from typing import Any
 from msgspec.structs import replace
 
 from agent.clock.clock import RunClock
-from agent.core.config import Fleet, dump
+from agent.core.config import dump
 from agent.core.ranging.camera_model import Calibration
 from agent.core.topics import STATE
 from agent.demo.demo import demo_fleet
-from agent.process.certificates import credentials
 from agent.process.command import temporary_folder
-from agent.process.transport import LOOKER, Observer
+from agent.process.transport import Observer
 from hw.twin.twin_folder import clock_path
 from tests.killing import killed_after
 from tests.known_lens import TWIN, TWIN_CAMERA
@@ -31,22 +30,17 @@ READY_S = 180.0  # of the wall: on a fresh machine every kernel is compiled firs
 ENDS_S = 30.0  # of the wall
 
 Between = Callable[[Path], AbstractContextManager[Path]]  # the twin's folder -> the one that r1 takes for it
-Change = Callable[[Fleet], Fleet]
 
 
 class DiveOfTwo:
     """r1 and r2 with calibrations that nobody made in this dive: r1's is its own of another day, r2's is r1's."""
 
     def __init__(
-        self,
-        folder: Path,
-        twin_folder: Path,
-        change: Change = lambda fleet: fleet,
-        environment: Mapping[str, Mapping[str, str]] = MappingProxyType({}),
+        self, folder: Path, twin_folder: Path, environment: Mapping[str, Mapping[str, str]] = MappingProxyType({})
     ) -> None:
-        """`change`: what is otherwise in the fleet file. `environment`: of a process, beside ours."""
+        """`environment`: of a process, beside ours."""
         self.folder, self._twin_folder = folder, twin_folder
-        self.fleet = change(demo_fleet(2, "evidence", 0.0, 0, False, twin_folder))
+        self.fleet = demo_fleet(2, "evidence", 0.0, 0, False, twin_folder)
         self.path = folder / "fleet.toml"
         self.path.write_text(dump(self.fleet))
         self._environment = environment
@@ -58,7 +52,6 @@ class DiveOfTwo:
         self.processes: dict[str, subprocess.Popen[bytes]] = {}
 
     def start_twin(self, speed: str = "max") -> None:
-        (self._twin_folder / "ready").unlink(missing_ok=True)  # of one that was killed
         self._start("twin", "twin", str(self.path), "--speed", speed)
         until((self._twin_folder / "ready").exists, READY_S, lambda: self.log("twin"))
 
@@ -72,21 +65,12 @@ class DiveOfTwo:
         path = self.folder / "fleet_of_r1.toml" if name == "r1" else self.path
         self._start(name, "agent", str(path), "--robot", name, "--out", str(self.folder), "--arm")
 
-    def start_recorder(self) -> None:
-        self._start("recorder", "record", str(self.path), "--out", str(self.folder / "fleet.mcap"))
-
     def check(self) -> None:
         for name, process in self.processes.items():
             assert process.poll() is None, f"{name} ended: {self.log(name)}"
 
     def signal(self, name: str, number: int) -> None:
         self.processes[name].send_signal(number)
-
-    def kill(self, name: str) -> None:
-        """It is missed by nobody from now on."""
-        process = self.processes.pop(name)
-        process.kill()
-        process.wait()
 
     def log(self, name: str) -> str:
         return (self.folder / f"{name}.log").read_text()
@@ -114,8 +98,7 @@ def dive_of_two(
     the dive's clock. `otherwise`: see DiveOfTwo."""
     with temporary_folder() as twin_folder:
         dive = DiveOfTwo(folder, twin_folder, **otherwise)
-        keys = credentials(dive.fleet, LOOKER, dive.path)
-        with killed_after(dive.processes), Observer(dive.fleet, dive.clock.now_ns, (STATE,), keys=keys) as observer:
+        with killed_after(dive.processes), Observer(dive.fleet, dive.clock.now_ns, (STATE,)) as observer:
             shown = ShownStates(observer, tuple(dive.fleet.robot), dive.check)
             dive.start_twin(speed)
             with between(twin_folder) as twin_of_r1:

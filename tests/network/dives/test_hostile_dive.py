@@ -180,10 +180,10 @@ def test_a_request_number_that_is_used_again(water: Water) -> None:
 def test_frames_without_pixels(water: Water) -> None:
     """They are a fault while they last, and no longer; the robot says of what."""
     water.well()
-    water.camera.broken = "empty"
+    water.camera.broken = True
     blind = water.until("blind", lambda s: any(fault.startswith("no camera: ") for fault in s.faults))
     water.until("spoiled", lambda s: water.camera.spoiled > 2)
-    water.camera.broken = None
+    water.camera.broken = False
     after = water.well()
     water.until("measures again", lambda s: s.measurements > after.measurements)
     assert any("0x0" in fault for fault in blind.faults), blind.faults

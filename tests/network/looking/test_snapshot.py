@@ -107,23 +107,19 @@ def test_no_target_is_made_of_a_picture_that_is_none_of_the_camera(make_fleet: F
 
 
 # --- messages page ---
-# The Python of docs/messages.md runs as it stands there, but for the address; its Rust subscribes to the same.
+# The Python of docs/messages.md runs as it stands there, but for the address.
 
 PAGE = (ROOT / "docs" / "messages.md").read_text(encoding="utf-8")
 HERE = "tcp/127.0.0.1:17401"  # in the page
-
-
-def code(language: str) -> str:
-    """The one block of this language."""
-    (block,) = re.findall(f"```{language}\n(.*?)```", PAGE, re.DOTALL)
-    return block
 
 
 def test_ten_lines_of_python_print_what_a_robot_knows(
     make_fleet: Callable[..., Fleet], state: Callable[..., State], tmp_path
 ) -> None:
     fleet, script, printed = make_fleet({"r1": ()}), tmp_path / "ten_lines.py", tmp_path / "printed"
-    text = code("python").replace(HERE, fleet.robot["r1"].listen)
+    (block,) = re.findall(r"```python\n(.*?)```", PAGE, re.DOTALL)
+    assert HERE in block
+    text = block.replace(HERE, fleet.robot["r1"].listen)
     assert len(text.strip().splitlines()) <= 11 and "agent" not in text
     script.write_text(text)
     with Transport(fleet, "r1", time.time_ns) as r1, printed.open("wb") as out:
@@ -137,11 +133,6 @@ def test_ten_lines_of_python_print_what_a_robot_knows(
 
             until(heard)
     assert printed.read_text().splitlines()[0] == "r1 blind ball None"
-
-
-def test_the_rust_looks_at_the_same() -> None:
-    assert re.findall('"aucamp/[^"]*"', code("rust")) == re.findall('"aucamp/[^"]*"', code("python"))
-    assert HERE in code("rust") and HERE in code("python")
 
 
 # --- fleets at once ---

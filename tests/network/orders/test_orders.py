@@ -279,10 +279,7 @@ def test_what_time_it_is_needs_no_step(loops) -> None:
 
 @pytest.mark.parametrize(
     ("listen", "consoles", "why"),
-    [
-        ("tcp/192.168.7.11:17401", (), "secure the fleet"),
-        ("tcp/127.0.0.1:17401", ("bob",), "names bob"),
-    ],
+    [("tcp/192.168.7.11:17401", (), "secure the fleet"), ("tcp/127.0.0.1:17401", ("bob",), "names bob")],
 )
 def test_a_console_that_may_not_order_does_not_even_try(make_fleet, listen: str, consoles, why: str) -> None:
     fleet = make_fleet({"r1": ()})

@@ -90,15 +90,6 @@ def test_a_laptop_with_its_own_keys_alone_finds_the_wrong_clocks_and_stops_all(s
     assert aucamp("order", "fleet.toml", "--as", "ann", "stop").splitlines()[-1] == "stop: 3 of 3"
 
 
-def test_loss_and_delay(swarm) -> None:
-    lost = swarm.relay.count["lost"]
-    swarm.relay.links = Links(loss=0.1, delay_s=0.05, jitter_s=0.02)
-    swarm.live(*CLOCK_AHEAD_S, iterations=8)
-    assert swarm.relay.count["lost"] > lost
-    swarm.relay.links = Links()
-    swarm.until("agreement", swarm.agree)
-
-
 def test_a_certificate_that_runs_out_in_the_dive_ends_no_link(swarm) -> None:
     out_s = time.time() + LEFT_S
     replace_certificate(swarm.fleet, swarm.keys, "r3", datetime.fromtimestamp(out_s + HOUR_S, UTC))

@@ -113,10 +113,7 @@ def test_a_forged_message_is_seen_although_the_replay_is_identical(tmp_path: Pat
     rewritten(R1, tmp_path / "run" / "r1.mcap", lambda r: forge(r) if r.sequence == 200 else r.data)
     checked = check([tmp_path / "run"])
     (found,) = checked.links.values()
-    assert {(link.src, link.dst): link.unknown for link in found if link.unknown} == {
-        ("r1", "r2"): 1,
-        ("r1", "r3"): 1,
-    }
+    assert {(link.src, link.dst): link.unknown for link in found if link.unknown} == {("r1", "r2"): 1, ("r1", "r3"): 1}
     assert "forged" in text(checked)
 
 

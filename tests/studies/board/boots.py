@@ -104,12 +104,7 @@ def _boot(
 
 
 def _carry_out(
-    tools: Tools,
-    options: Options,
-    speaks: host.Host,
-    texts: dict[str, str],
-    script: str,
-    parts: str | None,
+    tools: Tools, options: Options, speaks: host.Host, texts: dict[str, str], script: str, parts: str | None
 ) -> tuple[list[str], list[bytes], counts.Log | None]:
     """One boot with what the board has in its flash; the lines of the script, what the board sent, what was counted.
 

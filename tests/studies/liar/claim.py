@@ -17,10 +17,7 @@ CASES = {
     "relayed": {"geometric-10": LiarCase("geometric", 10), "line-5": LiarCase("line", 5)},
     "key-gone": {f"key-gone-{robots}": LiarCase("full", robots, then="no key") for robots in (3, 5)},
     # A robot's own word counts where it is heard directly; elsewhere nothing stops a relay that changes it.
-    "no-keys": {
-        "no-keys-3": LiarCase("full", 3, keys=False),
-        "no-keys-10": LiarCase("geometric", 10, keys=False),
-    },
+    "no-keys": {"no-keys-3": LiarCase("full", 3, keys=False), "no-keys-10": LiarCase("geometric", 10, keys=False)},
     # The target swims, and every lie binds the next.
     "moving": {f"moving-{robots}": LiarCase("full", robots, speed_mm_s=20.0) for robots in (3, 5, 10)},
     # Two of ten agree on their lies, and the fleet file reckons with two.

@@ -9,7 +9,7 @@ from datetime import UTC, datetime
 from importlib import import_module
 
 from tests.places import ROOT
-from tests.studies.outside.finding import Finding
+from tests.studies.outside.finding import Finding, rows
 from tests.studies.outside.network import Crossing
 
 JUDGES = {  # and what each needs
@@ -39,10 +39,10 @@ def main() -> int:
         except ImportError as error:
             sys.stdout.write(f"{name}: not judged ({error}): {JUDGES[name]}\n")
             continue
-        rows = table(found)
-        sys.stdout.write("\n".join(rows) + "\n")
+        lines = table(found)
+        sys.stdout.write("\n".join(lines) + "\n")
         if given.write:
-            PAGE.write_text(with_table(PAGE.read_text(), HEAD[name], rows))
+            PAGE.write_text(with_table(PAGE.read_text(), HEAD[name], lines))
     return 0
 
 
@@ -50,15 +50,17 @@ def table(found: Sequence[Finding | Crossing]) -> list[str]:
     """As Markdown."""
     columns = found[0].COLUMNS
     head = f"| {' | '.join(columns)} |", "|---" * len(columns) + "|"
-    rows = (f"| {' | '.join(one.row)} |" for one in found)
-    return [f"Judged on {datetime.now(UTC):%Y-%m-%d}.", "", *head, *rows]
+    cells = [one.row for one in found if isinstance(one, Crossing)] or rows(
+        one for one in found if isinstance(one, Finding)
+    )
+    return [f"Judged on {datetime.now(UTC):%Y-%m-%d}.", "", *head, *(f"| {' | '.join(each)} |" for each in cells)]
 
 
-def with_table(page: str, head: str, rows: Sequence[str]) -> str:
+def with_table(page: str, head: str, lines: Sequence[str]) -> str:
     """The page with the lines below a heading, up to the next heading, in place of what stands there."""
     before, _, rest = page.partition(f"{head}\n")
     _, mark, after = rest.partition("\n## ")
-    return f"{before}{head}\n\n" + "\n".join(rows) + "\n" + mark + after
+    return f"{before}{head}\n\n" + "\n".join(lines) + "\n" + mark + after
 
 
 if __name__ == "__main__":

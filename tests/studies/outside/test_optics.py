@@ -7,6 +7,7 @@ import pytest
 
 from hw.twin.optics import veil
 from tests.studies.outside import optics
+from tests.studies.outside.finding import Finding, rows
 from tests.studies.outside.optics_scene import STRAIGHT_RAD, _phase_table, fournier_forand
 
 
@@ -36,6 +37,15 @@ def test_the_peak_of_a_known_curve_is_found():
     top, width = optics._peak(position, np.exp(-(((position - 53) / 20) ** 2)))
     assert top == pytest.approx(53, abs=0.3)
     assert width == pytest.approx(2 * 20 * math.sqrt(math.log(1 / 0.7)), rel=0.05)
+
+
+def test_cases_of_one_quantity_are_one_row_and_each_that_fails_is_its_own():
+    cases = ((0.5, "X", 10.2), (1.0, "Y", 10.4), (2.0, "X", 12.0))
+    found = [Finding(f"wall {at} m away", judge, 10.0, other, "px", 0.05) for at, judge, other in cases]
+    assert rows(found) == [
+        ("wall 0.5 to 1.0 m away, px", "2", "10", "10.4", "X, Y"),
+        ("wall 2.0 m away, px", "1", "10", "**12**", "X"),
+    ]
 
 
 @pytest.mark.slow
