@@ -133,7 +133,8 @@ def write_glb(mesh: Mesh, path: Path) -> None:
         vertex_colors=np.column_stack([encoded(mesh.colours), np.where(mesh.views > 0, 255, 128).astype(np.uint8)]),
         process=False,
     )
-    write_whole(path, body.export(file_type="glb"))
+    glb: Any = body.export(file_type="glb")  # bytes, of all that it can be
+    write_whole(path, glb)
 
 
 # --- MCAP of Foxglove's own messages, for Foxglove and Rerun: a cloud of points, and the cameras ---
