@@ -170,9 +170,7 @@ class Estimate(Message, frozen=True, kw_only=True):
     src: Annotated[Id, means("the robot that says it")]
     dst: Annotated[Id, means("the neighbour that it is said to")]
     incarnation: Annotated[Count, means("which start of the sender this is: Unix time of it, ns")]
-    seq: Annotated[
-        Count, means("counts the rounds in which the sender speaks, one message about each target to each neighbour")
-    ]
+    seq: Annotated[Count, means("counts the messages of the sender about this target to this neighbour")]
     sent_ns: Annotated[Count, means(SENT)]
     target: Annotated[Id, means("what it is about")]
     t: Annotated[int, Meta(ge=0, le=10**9), means("iteration of the estimate")]

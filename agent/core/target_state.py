@@ -23,6 +23,7 @@ from agent.core.verdict import Consistency
 
 Knows = Literal["blind", "told", "sees"]
 SEEN = 0.9  # of the frames that show the whole target, at a range that the lens reaches, the target is found in
+BETWEEN_NS = 40_000_000  # from one message to a neighbour to the next, at least, where it is news: a step, at 20 Hz
 HELD = 2  # iterations in a row: where the camera is slow, every other sweep comes too late, which is no change
 
 
@@ -65,6 +66,8 @@ class TargetState(Revertible):
         self._seen_ns: int | None = None  # when a robot was last known to measure it
         self.last_state: State | None = None
         self.consistency = Consistency(robot)
+        self._said = dict.fromkeys(fleet.robot[robot].neighbours, 0)  # messages to each
+        self._told_ns = dict.fromkeys(fleet.robot[robot].neighbours, 0)  # when each was spoken to last
         self._missed, self._looked_ns = 0.0, 0  # nats, and the exposure of the newest look that counted
 
     def measure(self, prior: Prior) -> None:
@@ -133,9 +136,15 @@ class TargetState(Revertible):
         self._seen_ns = now_ns if sees else self._seen_ns
         return sees
 
-    def say(self, neighbour: str, seq: int, now_ns: int) -> Estimate:
-        """The message to a neighbour; without news it is still the heartbeat."""
-        word = self.estimator.say(neighbour, now_ns)
+    def has_news(self, neighbour: str, now_ns: int) -> bool:
+        """Whether a neighbour should hear of this target before the next round."""
+        return now_ns - self._told_ns[neighbour] >= BETWEEN_NS and self.estimator.news(neighbour)
+
+    def say(self, neighbour: str, now_ns: int, between: bool = False) -> Estimate:
+        """The message to a neighbour; without news it is still the heartbeat. between: two rounds, the news alone."""
+        word = self.estimator.say(neighbour, now_ns, between)
+        self._said[neighbour] += 1
+        self._told_ns[neighbour] = now_ns
         if word.x_m is None or not inside(word.x_m, self._tank_m):  # no robot would believe it
             word = word._replace(x_m=None, cov_m2=None)
         return Estimate(
@@ -143,7 +152,7 @@ class TargetState(Revertible):
             src=self._robot,
             dst=neighbour,
             incarnation=self._incarnation,
-            seq=seq,
+            seq=self._said[neighbour],
             sent_ns=now_ns,
             target=self.name,
             t=self.estimator.t,

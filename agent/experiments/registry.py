@@ -75,7 +75,9 @@ CLAIMS: dict[str, Entry] = {
     "scenes": Entry(E + "reconstruction.scenes", "surfaces and pictures of scenes from focus sweeps", SCENE),
     "orientation": Entry(E + "orientation", "push and depth step under three control laws", BODY, judged=HULL),
     "board": Entry(S + "board.claim", "what a control cycle takes on the board", BODY, ("hw/firmware", *COUNTED)),
-    "swarm": Entry(B + "bench_swarm", "twenty agents on one machine; a partition heals", NETWORK, SCRIPTS, LINKS),
+    "swarm": Entry(
+        B + "bench_swarm", "twenty agents on one machine; a partition; news in hundreds", NETWORK, SCRIPTS, LINKS
+    ),
     "orders": Entry(B + "network.bench_orders", "a person stops three robots, of which one hangs", NETWORK, SCRIPTS),
     "mute": Entry(
         B + "network.bench_mute",

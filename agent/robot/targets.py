@@ -42,6 +42,7 @@ from agent.robot.target_search import TargetScheduler, TargetSearch
 
 FIXED_FOCUS = "the camera's focus is fixed: ranges are by the size of targets, nothing is swept"
 TIMING = "camera timing: {}; run `aucamp calibrate run` again"
+NEWS_HZ = 10.0  # a link of which so many rounds a second are asked bears news between them; a slower one is thin
 LATEST_ITERATION = 1.6  # an iteration waits for a running sweep, but no longer than this many of its periods
 
 
@@ -65,7 +66,6 @@ class Targets(Revertible):
         self._turned = False  # the turn changed in this step
         self.signed = False  # what others measured counts by their signatures
         self._iterated_ns = self._say_due_ns = 0
-        self._said = 0
 
     @property
     def watched(self) -> str:
@@ -262,16 +262,18 @@ class Targets(Revertible):
         return CameraAct(plan=plan)
 
     def say(self, send_hz: float | None, pursues: str | None, now_ns: int) -> tuple[Estimate, ...]:
-        """Say to each neighbour what there is about each target; at once what was just concluded of one that swims."""
+        """Say to each neighbour what there is about each target; at once what was just concluded of one that swims, and
+        what is news where the link bears it."""
         fresh = pursues is not None and self._iterated_ns == now_ns
-        say_ns = round(1e9 / (send_hz or self._fleet.link.send_hz))
+        send_hz = send_hz or self._fleet.link.send_hz
+        pairs = [(target, neighbour) for target in self.all.values() for neighbour in self._neighbours]
         if now_ns < self._say_due_ns and not fresh:
-            return ()
-        self._say_due_ns = next_due_ns(min(self._say_due_ns, now_ns), say_ns, now_ns)
-        self._said += 1
-        return tuple(
-            target.say(neighbour, self._said, now_ns) for target in self.all.values() for neighbour in self._neighbours
-        )
+            news = pairs if send_hz >= NEWS_HZ else ()
+            return tuple(
+                target.say(near, now_ns, between=True) for target, near in news if target.has_news(near, now_ns)
+            )
+        self._say_due_ns = next_due_ns(min(self._say_due_ns, now_ns), round(1e9 / send_hz), now_ns)
+        return tuple(target.say(near, now_ns) for target, near in pairs)
 
     def _note(self, level: Level, text: str, now_ns: int) -> None:
         """A line of the log about the target that the camera is at; its name is needless where it is the only one."""

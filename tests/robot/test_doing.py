@@ -69,7 +69,7 @@ def test_it_speaks_as_often_as_it_is_told(robot) -> None:
     assert robot.give("set", {"name": "send_hz", "value": 4.0}).ok
     assert said(5.0) == pytest.approx(20, abs=1)
     assert robot.give("resume").ok
-    assert said(5.0) == pytest.approx(50, abs=1)
+    assert 50 < said(5.0) <= 56, "rounds, and between them news: what it measured itself, once a second"
 
 
 def test_previews_and_boxes_are_for_the_devices_once() -> None:

@@ -29,7 +29,7 @@ from msgspec.structs import replace
 from agent.core.estimation.evidence_table import Bounds, Key, Table, entry_fault, floored, mark
 from agent.core.estimation.fuse import NONE, Fused, Shared, fuse, parts, stretch
 from agent.core.estimation.interface import Bearing, EstimateCache, Posterior, Prior, Update, Word
-from agent.core.estimation.modes import Conclusion, DeliveryLedger, Me, Mode, outliving
+from agent.core.estimation.modes import Conclusion, DeliveryLedger, Links, Me, Mode, outliving
 from agent.core.estimation.motion import Innovation, Motion
 from agent.core.estimation.moving_target import WINDOW, MovingTarget, unseen
 from agent.core.estimation.track import ROLLING, Dynamics, outer
@@ -62,7 +62,8 @@ class Evidence(Revertible):
     """State of one robot for one target. `incarnation` must differ from that of every earlier start.
 
     subject: fleet and target, as they are signed. verify: how signatures are checked. dynamics: of the target; one
-    that swims by the fleet file moves from the first epoch on, and no robot tests whether it rests.
+    that swims by the fleet file moves from the first epoch on, and no robot tests whether it rests. links: of all
+    robots, so that none passes on what a neighbour was told by the same robot.
     """
 
     def __init__(
@@ -78,10 +79,11 @@ class Evidence(Revertible):
         subject: tuple[str, str] = ("", ""),
         verify: Verify = verify_signature,
         dynamics: Dynamics = ROLLING,
+        links: Links = frozenset(),
     ) -> None:
         self._authority = Authority(neighbours, verify)
         key = (me, incarnation)
-        self._me = Me(key, neighbours, bounds, max_entries, shared, self._authority, subject, liars, dynamics)
+        self._me = Me(key, neighbours, bounds, max_entries, shared, self._authority, subject, liars, dynamics, links)
         self._validity_ns = validity_ns
         self.t = 0
         self.valid = False
@@ -225,11 +227,15 @@ class Evidence(Revertible):
             return believed
         return believed._replace(cov_m2=plus(believed.cov_m2, times(HEDGE, outer(self._step_m))))
 
-    def say(self, to: str, now_ns: int) -> Word:
+    def news(self, to: str) -> bool:
+        return self._mode.news(to)
+
+    def say(self, to: str, now_ns: int, between: bool = False) -> Word:
         self._pass(now_ns)
-        believed = self.posterior
+        # Between two rounds what was concluded last will do: to conclude takes longer than to pass on.
+        believed = self._hedged(self._believed) if between else self.posterior
         x_m, cov_m2 = believed[:2] if believed else (None, None)
-        gossip = replace(self._mode.say(to, now_ns), proposals=self._vote.shown(now_ns))
+        gossip = replace(self._mode.say(to, now_ns, between), proposals=self._vote.shown(now_ns))
         return Word(x_m, cov_m2, gossip=gossip)
 
     def _pass(self, now_ns: int) -> None:
@@ -311,7 +317,7 @@ class StaticTarget(Revertible):
         before = self._table.entries.get(self._me.key)
         information = self._table.measure(self._me.key, prior)
         self._gain = trace(information) / trace(self._table.entries[self._me.key].information)
-        self._change += 1
+        self._changed(self._me.key, "")
         self._news_ns[self._me.key[0]] = now_ns
         random = None if before is None else inverse(before.information)
         self._nis = None
@@ -333,7 +339,7 @@ class StaticTarget(Revertible):
                 fault = self._fault(src, entry, arrived_ns)
                 if fault is None:
                     fault = table.merge(entry, self._me.authority.keys is None and src != entry.origin)
-                    self._change += 1
+                    self._changed(key, src)
                     self._let_go.pop(key, None)
                     self._news_ns[entry.origin] = arrived_ns
                 if fault is not None and fault != HEARSAY:
@@ -381,7 +387,18 @@ class StaticTarget(Revertible):
     def restarted(self, src: str) -> None:
         self._ledgers[src].forget()
 
-    def say(self, to: str, now_ns: int) -> Gossip:
+    def _changed(self, key: Key, src: str) -> None:
+        """An entry is new here, by the word of src: news for all neighbours that src does not speak to itself. Of our
+        own samples src is empty."""
+        self._change += 1
+        version, links = self._table.entries[key].count, self._me.links
+        for name, ledger in self._ledgers.items():
+            ledger.changed(key, version, told=name in (src, key[0]) or (src, name) in links)
+
+    def news(self, to: str) -> bool:
+        return bool(self._ledgers[to].news)
+
+    def say(self, to: str, now_ns: int, between: bool = False) -> Gossip:
         entries, marks, ledger = self._table.entries, self._table.marks, self._ledgers[to]
         if self._cleaned != self._table.removed:
             self._cleaned = self._table.removed
@@ -389,8 +406,11 @@ class StaticTarget(Revertible):
                 each.drop(entries)
         # Without signatures no robot is told what it measured itself.
         untold = None if self._me.authority.keys is not None else to
-        owed = {key: entry.count for key, entry in entries.items() if key[0] != untold}
-        chosen = ledger.pending(owed, self._me.key, self._me.max_entries)
+        told = ledger.news if between else entries
+        owed = {key: entries[key].count for key in told if key[0] != untold}
+        chosen = ledger.pending(owed, self._me.key, self._me.max_entries, between)
+        if between:
+            return Gossip(self._epoch, entries=tuple(entries[key] for key in chosen))
         self._let_go = {key: until_ns for key, until_ns in self._let_go.items() if until_ns > now_ns}
         keys = [*entries, *(key for key in self._let_go if key not in entries)]
         shown = keys[ledger.due(len(keys), self._change, now_ns)]

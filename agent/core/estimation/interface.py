@@ -1,8 +1,8 @@
 """What every protocol offers to the kernel, in the paper's words: x̂ is the prior, x the posterior, S the valid set.
 
 An estimator belongs to one robot and one target. It repeats one cycle: `hear` what neighbours said, `tick` once an
-iteration, `say` the outcome to each neighbour, as often as the link allows. The cache holds what neighbours said last
-of the target.
+iteration, `say` the outcome to each neighbour, as often as the link allows, and at once what is `news`. The cache holds
+what neighbours said last of the target.
 """
 
 from __future__ import annotations
@@ -94,8 +94,11 @@ class Estimator(Protocol):
     def tick(self, prior: Prior | None, cache: EstimateCache, now_ns: int) -> Update:
         """One iteration: the newest usable word of each neighbour and, if the target was seen, a prior."""
 
-    def say(self, to: str, now_ns: int) -> Word:
-        """What to tell this neighbour now. Time never decreases from call to call."""
+    def news(self, to: str) -> bool:
+        """Whether there is something that this neighbour should be told at once."""
+
+    def say(self, to: str, now_ns: int, between: bool = False) -> Word:
+        """What to tell this neighbour now, between two rounds the news alone. Time never decreases between calls."""
 
 
 # --- cache ---

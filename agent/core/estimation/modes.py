@@ -18,6 +18,8 @@ from agent.core.messages import Explain, Gossip
 from agent.core.step_transaction import Revertible
 from agent.core.trust import Authority
 
+Links = frozenset[tuple[str, str]]  # robots that speak to each other, by the fleet file, both ways
+
 
 class Me(NamedTuple):
     """What a robot knows of itself and its fleet before it measures anything."""
@@ -31,6 +33,7 @@ class Me(NamedTuple):
     subject: tuple[str, str]  # fleet and target, as they are signed
     liars: int = 1  # robots that may be wrong at once
     dynamics: Dynamics = ROLLING  # of a target that moves
+    links: Links = frozenset()
 
 
 class Conclusion(NamedTuple):
@@ -69,8 +72,11 @@ class Mode(Protocol):
     def restarted(self, src: str) -> None:
         """A neighbour started again, and holds nothing."""
 
-    def say(self, to: str, now_ns: int) -> Gossip:
-        """What this neighbour does not have yet, as far as fits."""
+    def news(self, to: str) -> bool:
+        """Whether there is something that this neighbour was not told since it is here."""
+
+    def say(self, to: str, now_ns: int, between: bool = False) -> Gossip:
+        """What this neighbour does not have yet, as far as fits. between: two rounds, the news alone."""
 
     def by_others(self) -> Posterior | None:
         """Where the target rests, all our own samples left out; see interface.Estimator."""
@@ -92,6 +98,9 @@ def outliving(known: int | None, incarnation: int, me: Me, now_ns: int) -> int |
 #
 # Nothing is taken for delivered because it was sent. A version counts as held once the neighbour shows it, in its
 # digest or by sending it to us; until then it is owed and goes out again, whatever the link does.
+#
+# What came in since it was last sent is news. It may go between two rounds, and comes first in a round: what is sent
+# again has to wait until the neighbour had the time to show that it holds it.
 
 Key = TypeVar("Key", bound=tuple[Any, ...])  # begins with origin and incarnation
 
@@ -104,27 +113,57 @@ class DeliveryLedger(Revertible, Generic[Key]):
 
     def __init__(self) -> None:
         self._held: dict[Key, int] = {}
-        self._sent: dict[Key, int] = {}
+        self._sent: dict[Key, int] = {}  # in which round
+        self._news: dict[Key, int] = {}  # versions that were not sent yet
         self._turn = 0
         self._digested: tuple[int, int] | None = None  # which state of the table the last digest showed, and when
         self._line = 0
 
     def forget(self) -> None:
         """The neighbour started again and holds nothing."""
-        self._held = {}
+        self._held, self._sent = {}, {}
         self._digested = None
+
+    @property
+    def news(self) -> Collection[Key]:
+        """What changed since it was sent, the oldest news first."""
+        return self._news.keys()
+
+    def changed(self, key: Key, version: int, told: bool) -> None:
+        """We hold another version. told: by the same robot as we were, the neighbour has been: it counts as sent in the
+        next round."""
+        if told:
+            self._sent[key] = self._turn + 1
+            self._news.pop(key, None)
+        else:
+            self._news[key] = version
 
     def acknowledge(self, key: Key, version: int) -> None:
         """The neighbour says what it holds; what it says later replaces that, downwards too."""
         self._held[key] = version
+        if version >= self._news.get(key, version + 1):
+            del self._news[key]
 
-    def pending(self, versions: Mapping[Key, int], own: tuple[str, int], limit: int) -> list[Key]:
-        """What to send now: own evidence first, then what was sent longest ago, at most `limit`."""
-        waiting = [key for key, version in versions.items() if version > self._held.get(key, 0)]
-        waiting.sort(key=lambda key: (key[:2] != own, self._sent.get(key, -1)))  # stable: else as `versions` has it
-        self._turn += 1
+    def pending(
+        self, versions: Mapping[Key, int], own: tuple[str, int], limit: int, between: bool = False
+    ) -> list[Key]:
+        """What to send now, at most `limit`: own evidence first, then news, then what was sent longest ago.
+
+        between: two rounds. `versions` then are of news alone, which counts as sent in the next round.
+        """
+        turn, shown_after = self._turn + 1, len(versions) // LINES  # rounds that a digest of so many lines takes
+        waiting = [
+            key
+            for key, version in versions.items()
+            if version > self._held.get(key, 0)
+            and (key in self._news or key not in self._sent or turn - self._sent[key] > shown_after)
+        ]
+        # Stable: else in the order of `versions`.
+        waiting.sort(key=lambda key: (key[:2] != own, key not in self._news, self._sent.get(key, -1)))
         for key in waiting[:limit]:
-            self._sent[key] = self._turn
+            self._sent[key] = turn
+            self._news.pop(key, None)
+        self._turn = self._turn if between else turn
         return waiting[:limit]
 
     def due(self, lines: int, change: int, now_ns: int) -> slice:
@@ -146,3 +185,4 @@ class DeliveryLedger(Revertible, Generic[Key]):
         """Forget about what is no longer in the table."""
         self._held = {key: version for key, version in self._held.items() if key in kept}
         self._sent = {key: turn for key, turn in self._sent.items() if key in kept}
+        self._news = {key: version for key, version in self._news.items() if key in kept}

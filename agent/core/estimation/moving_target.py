@@ -162,7 +162,10 @@ class MovingTarget(Revertible):
     def restarted(self, src: str) -> None:
         self._ledgers[src].forget()
 
-    def say(self, to: str, now_ns: int) -> Gossip:
+    def news(self, to: str) -> bool:
+        return False  # what is pursued is spoken of as often as it is measured, all else in rounds
+
+    def say(self, to: str, now_ns: int, between: bool = False) -> Gossip:
         ledger, signed = self._ledgers[to], self._me.authority.keys is not None
         owed = {key: 1 for key in self._window.sendable(now_ns) if signed or key[0] != to}
         chosen, lines = ledger.pending(owed, self._me.key, SENT), self._window.digest()

@@ -50,6 +50,7 @@ def estimator(fleet: Fleet, me: str, target: str, incarnation: int, verify: Veri
                 subject=(fleet.fleet, target),
                 verify=verify,
                 dynamics=dynamics(fleet.target[target]),
+                links=frozenset((name, near) for name, robot in fleet.robot.items() for near in robot.neighbours),
             )
 
 
@@ -112,6 +113,9 @@ class Means(Revertible):
     def trust(self, keys: Mapping[str, bytes]) -> None:
         pass  # a belief has no origin that could sign it
 
+    def news(self, to: str) -> bool:
+        return False  # a mean is new once an iteration, and all are told in rounds
+
     def adopt(self, t: int) -> None:
         # One ahead is a neighbour in the same iteration that ticked first, and a robot that follows ends up beside it,
         # not in front: else robots would drive each other through more iterations than there are periods, and alpha
@@ -146,7 +150,7 @@ class Paper(Means):
     def hear(self, letter: CachedMessage[Estimate]) -> tuple[str, ...]:
         return ()  # only the newest word counts, and the cache has it
 
-    def say(self, to: str, now_ns: int) -> Word:
+    def say(self, to: str, now_ns: int, between: bool = False) -> Word:
         return Word(*self._mean[:2]) if self._mean else Word(None, None)
 
     def tick(self, prior: Prior | None, cache: EstimateCache, now_ns: int) -> Update:
@@ -227,7 +231,7 @@ class Metropolis(Means):
     def hear(self, letter: CachedMessage[Estimate]) -> tuple[str, ...]:
         return ()
 
-    def say(self, to: str, now_ns: int) -> Word:
+    def say(self, to: str, now_ns: int, between: bool = False) -> Word:
         x_m, cov_m2 = self._mean[:2] if self._mean else (None, None)
         return Word(x_m, cov_m2, degree=self._degree)
 

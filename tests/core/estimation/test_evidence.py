@@ -282,6 +282,32 @@ def heard_by(name, order=ORIGINS):
     return state
 
 
+@pytest.mark.parametrize("signed", [False, True])
+def test_news_is_passed_on_at_once_but_not_to_whom_the_same_robot_tells_it(signed) -> None:
+    near, links = ("r2", "r3", "r4"), frozenset({("r2", "r3"), ("r3", "r2")})
+    me = Me(("r1", 4), near, BOUNDS, 14, NONE, Authority(near, lambda *signature: True), ("tank", "ball"), links=links)
+    if signed:
+        me.authority.replace_keys(dict.fromkeys((*near, "r1"), b"k"))
+    state, table = StaticTarget(me, Epoch()), Table()
+    for sample in SAMPLES["r2", 1]:
+        table.measure(("r2", 1), sample)
+    (entry,) = table.entries.values()
+    assert (
+        state.hear(
+            "r2", Gossip(Epoch(), entries=(msgspec.structs.replace(entry, signature=bytes(64 * signed)),)), S, None
+        )
+        == []
+    )
+    assert [name for name in near if state.news(name)] == ["r4"]
+    told = state.say("r4", S, between=True)
+    assert [each.origin for each in told.entries] == ["r2"] and told.digest == ()
+    assert not state.news("r4")
+    # r3 should have it from r2. Where it does not show it after a round, it gets it from us.
+    assert [[each.origin for each in state.say("r3", S).entries] for _ in range(2)] == [[], ["r2"]]
+    state.add(1, SAMPLES["r1", 4][0], S)
+    assert all(state.news(name) for name in near), "its own samples nobody else tells"
+
+
 def test_as_one_who_never_saw_that_robot_s_samples() -> None:
     """Each robot's mean by least squares, its systematic error added once, and these together by least squares."""
     total, weighted = np.zeros((3, 3)), np.zeros(3)

@@ -62,6 +62,29 @@ def test_an_older_version_in_a_digest_makes_it_owed_again_and_so_does_a_restart(
     assert ledger.pending({OWN: 5}, OWN, 4) == [OWN]
 
 
+def test_news_goes_between_two_rounds_and_again_when_a_round_of_its_own_has_passed_unanswered() -> None:
+    ledger, old, new = DeliveryLedger(), KEYS[3], KEYS[5]
+    versions = dict.fromkeys((old, new), 2)
+    ledger.changed(new, 2, told=False)
+    assert list(ledger.news) == [new]
+    assert ledger.pending(versions, OWN, 1) == [new], "news comes before what is merely owed"
+    ledger.changed(new, 2, told=False)
+    assert ledger.pending({key: 2 for key in ledger.news}, OWN, 4, between=True) == [new] and not ledger.news
+    assert ledger.pending(versions, OWN, 4) == [old], "it was sent a moment ago"
+    assert set(ledger.pending(versions, OWN, 4)) == {old, new}
+    ledger.changed(new, 3, told=False)
+    ledger.acknowledge(new, 2)
+    assert list(ledger.news) == [new]
+    ledger.acknowledge(new, 3)
+    assert not ledger.news
+
+
+def test_what_many_are_told_at_a_time_is_not_sent_again_before_a_digest_can_have_shown_it() -> None:
+    ledger, versions = DeliveryLedger(), {(f"r{k}", 1): 1 for k in range(3 * LINES)}
+    sent = [ledger.pending(versions, ("", 0), 3 * LINES) for _ in range(5)]
+    assert [len(each) for each in sent] == [3 * LINES, 0, 0, 0, 3 * LINES]
+
+
 def test_a_digest_goes_out_on_change_once_a_second_and_after_a_restart() -> None:
     ledger, lines = DeliveryLedger(), [Holding("r0", 1, 3)]
     assert lines[ledger.due(len(lines), 1, 0)] == lines
