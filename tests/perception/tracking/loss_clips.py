@@ -175,7 +175,7 @@ def meeting(folder: Path, file: str, ball: int, how: str, seed: int) -> Clip:
             image = pasted(image, picture, soft, way)
         images.append(shown(image, sway, noise[k % len(noise)]))
         box = Box(u + 0.5 - radius + dx + sway[0], v + 0.5 - radius + sway[1], 2 * radius, 2 * radius)
-        free = np.hypot(dx - far, low) / (1.6 * radius) if how == "passes behind" else 1.0
+        free = float(np.hypot(dx - far, low)) / (1.6 * radius) if how == "passes behind" else 1.0
         truth.append(Truth(k, box if free > GONE_SHARE else None, free > 1 - SLIVER_SHARE))
     return Clip(f"{Path(file).stem} {row['colour']}, {how} its double", 30.0, images, truth)
 
