@@ -32,7 +32,7 @@ from agent.core.step_io import Sighting
 from agent.core.topics import Topic
 from replay.files import channels
 from replay.files.channels import NETWORK, PRESENCE, Backlog, Entry, entry_on, name
-from replay.files.frames import frame_entries
+from replay.files.frames import WHOLE_EVERY, frame_entries, part_of
 from replay.files.info import RateNotes
 from replay.files.log import Limits, LogWriter, drop_note, parts, unused
 from replay.files.mcap_file import environment
@@ -417,10 +417,25 @@ class BlackBoxWriter:
         for note in self._rate.due() if self._rate is not None else ():
             self._log.put(note)
 
-    def frame(self, image: NDArray[np.uint8], roi: tuple[int, int, int, int], *sightings: Sighting) -> None:
-        """A frame and what vision found in it, of each target that it looked for; called on vision's thread."""
+    def frame(
+        self,
+        image: NDArray[np.uint8],
+        roi: tuple[int, int, int, int],
+        *sightings: Sighting,
+        measured: tuple[int, int, int, int] | None = None,
+        coarse: bool = False,
+    ) -> None:
+        """A frame and what vision found in it, of each target that it looked for; called on vision's thread.
+
+        measured: the part of it, in the full frame, that has all that vision measured. Of all but one in WHOLE_EVERY
+        that part alone is recorded, as if the camera had read no more. coarse: no clarity is measured in it. Raises
+        ValueError for a part outside it.
+        """
         number, now_ns = next(self._frames), self._clock()
-        for entry in frame_entries(self._robot, number, now_ns, image, roi, sightings[0], self._lossless):
+        if measured is not None and number % WHOLE_EVERY and not self._lossless:
+            image, roi = part_of(image, roi, measured), measured
+        about = self._robot, number, now_ns, image, roi, sightings[0]
+        for entry in frame_entries(*about, self._lossless, coarse):
             self._log.put(entry)
         for sighting in sightings:
             self._log.put(entry_on(channels.VISION, now_ns, sighting.t_ns, number, encode(sighting)))

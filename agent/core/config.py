@@ -114,9 +114,7 @@ class Estimation(Struct, frozen=True, kw_only=True):
 
 
 class Link(Struct, frozen=True, kw_only=True):
-    send_hz: Annotated[float, Meta(gt=0, le=20)] = (
-        10.0  # from 10 on news goes between two; at most once a step of the agent
-    )
+    send_hz: Annotated[float, Meta(gt=0, le=20)] = 10.0  # at most once a step; from 10 on news goes between two
     loss: Share = 0.0  # fault injection: share of outgoing link messages thrown away
     loss_seed: int = 0
     preview_hz: Annotated[float, Meta(ge=0, le=5)] = 2.0  # previews for observers, at most; 0: none

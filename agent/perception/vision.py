@@ -215,6 +215,7 @@ class Vision:
         self.frames = 0
         self.errors = 0  # cameras lost or not to be opened
         self.broken = 0  # frames left out because something broke off over them
+        self.surveys = False  # the newest frame is of a survey's sweep
         self.dropped = 0  # sightings that were not fetched in time
         self.refused = 0  # plans for a camera whose focus cannot be set
         self.fault: str | None = None  # why there is no camera now, or no worker
@@ -385,6 +386,7 @@ class Vision:
         roi = around(last.centre_px, last.radius_px, camera.size) if part and last and last.found else None
         frame = camera.read(roi, settle_s=self._settings.settle_s, timeout_s=READ_TIMEOUT_S)
         check(frame, camera.size)
+        self.surveys = keep is not None
         lens_position = camera.lens_position(frame.t_ns)
         self.frozen = self._frozen_watch.see(frame, self._clock.now_ns())
         if keep is not None and lens_position is not None:
@@ -427,6 +429,13 @@ class Vision:
             size_px=found.size_px if found else None,
             radius_sigma_px=found.radius_sigma_px if found else None,
         )
+
+    def measured(self, frame: Frame, seen: Sighting) -> Roi | None:
+        """The part of a sweep's whole frame that the sweep alone would have read; None: no less than the frame. What
+        is enhanced depends on the whole of it."""
+        whole = (frame.roi.width, frame.roi.height) == self._whole
+        part = bool(seen.sweep and seen.found and whole and not self._settings.enhance)
+        return around(seen.centre_px, seen.radius_px, self._whole) if part else None
 
     def _wait(self, part: Part, seconds: float, until_plan: bool) -> None:
         """Sleep; cut short by close(), and by a plan if wanted."""

@@ -460,7 +460,8 @@ class AgentProcess:
         """Vision's thread: tell the loop, record, and show to people who look."""
         if (loop := self._loop) is not None:
             loop.show(sightings)
-        self._box.frame(frame.image, frame.roi, *sightings)
+        measured, coarse = self._eyes.measured(frame, sightings[0]), not (sightings[0].sweep or self._eyes.surveys)
+        self._box.frame(frame.image, frame.roi, *sightings, measured=measured, coarse=coarse)
         if (
             not self._stop.is_set()
             and (image := self._preview.of(frame, sightings[0], self._clock.now_ns())) is not None

@@ -129,13 +129,17 @@ STEP_OUT = Channel(
 )
 CAMERA_IMAGE = Channel(
     "/{robot}/camera/image",
-    "frames between sweeps, as JPEG; one in 128, and all of `aucamp agent --lossless`, as PNG",
+    "frames between sweeps, as JPEG, coarse but of a survey; one in 128, and all of `agent --lossless`, as PNG",
     PROTOBUF,
     "foxglove.CompressedImage",
     AGENT,
 )
 SWEEP_IMAGE = Channel(
-    "/{robot}/sweep/image", "and the part of them that a sweep reads", PROTOBUF, "foxglove.CompressedImage", AGENT
+    "/{robot}/sweep/image",
+    "and the part of them that a sweep measures, of one in 16 all that it reads",
+    PROTOBUF,
+    "foxglove.CompressedImage",
+    AGENT,
 )
 FRAME = Channel(
     "/raw/frame",

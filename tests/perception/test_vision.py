@@ -8,6 +8,7 @@ import time
 import cv2
 import numpy as np
 import pytest
+from msgspec.structs import replace
 
 from agent.core.codec import decode, encode
 from agent.core.messages import MAX_JPEG, Image
@@ -30,8 +31,11 @@ from agent.perception.vision import (
 )
 from hw.camera.camera import CameraError, Frame, Roi
 from hw.camera.files import StackCamera
+from tests.known_lens import CAMERA
 from tests.perception.painted import sharp_position
 from tests.perception.scripted_camera import CENTRE_M, EMPTY, ScriptedCamera
+from tests.replay.small_box import FLEET, START_NS
+from tests.replay.small_box import seen as sighted
 from tests.sightings import collect
 
 
@@ -372,3 +376,19 @@ def test_what_the_calibration_knows_of_timing_is_taken_out_of_frames() -> None:
     as_it_is.set_focus(300)
     frame = as_it_is.read(settle_s=0.05)
     assert asked[-1] == 0.05 and frame.t_ns == 10_050_000_000 and as_it_is.lens_position(0) == 300
+
+
+def test_of_a_whole_frame_that_is_swept_the_part_about_the_ball_is_what_was_measured() -> None:
+    eyes, enhancing = (
+        vision.Vision(ScriptedCamera, fleet, CAMERA, {}, vision.StandingClock())
+        for fleet in (replace(FLEET, camera=replace(FLEET.camera, enhance=each)) for each in (False, True))
+    )
+    image = np.zeros((480, 640, 3), np.uint8)
+    whole, part = Frame(0, 0, image, Roi(0, 0, 640, 480)), Frame(0, 0, image[:100, :100], Roi(200, 200, 100, 100))
+    swept = replace(sighted(START_NS, 1), centre_px=(320.0, 240.0), radius_px=40.0)
+    roi = eyes.measured(whole, swept)
+    assert roi is not None and roi.x <= 320 - 40 and roi.x + roi.width >= 320 + 40 and roi.width < 200
+    assert eyes.measured(part, swept) is None
+    assert eyes.measured(whole, replace(swept, sweep=0)) is None
+    assert eyes.measured(whole, replace(swept, found=False, centre_px=None, radius_px=None)) is None
+    assert enhancing.measured(whole, swept) is None, "what is enhanced depends on the whole frame"
