@@ -66,9 +66,7 @@ class FocusRow(NamedTuple):
     u_m: float
     rho: float
     width: float
-    sigma: float = (
-        1.0  # standard deviation of rho, as far as the peak tells; the fit finds its scale from the residuals
-    )
+    sigma: float = 1.0  # standard deviation of rho, as the peak tells; the fit finds its scale from the residuals
 
 
 class CalibrationRefused(Failed):
