@@ -135,7 +135,7 @@ class DeliveryLedger(Revertible, Generic[Key]):
         if told:
             self._sent[key] = self._turn + 1
             self._news.pop(key, None)
-        else:
+        elif version > self._held.get(key, 0):
             self._news[key] = version
 
     def acknowledge(self, key: Key, version: int) -> None:
@@ -163,7 +163,8 @@ class DeliveryLedger(Revertible, Generic[Key]):
         for key in waiting[:limit]:
             self._sent[key] = turn
             self._news.pop(key, None)
-        self._turn = self._turn if between else turn
+        if not between:
+            self._turn = turn
         return waiting[:limit]
 
     def due(self, lines: int, change: int, now_ns: int) -> slice:

@@ -77,6 +77,8 @@ def test_news_goes_between_two_rounds_and_again_when_a_round_of_its_own_has_pass
     assert list(ledger.news) == [new]
     ledger.acknowledge(new, 3)
     assert not ledger.news
+    ledger.changed(new, 3, told=False)
+    assert not ledger.news, "the neighbour showed it before it came to us"
 
 
 def test_what_many_are_told_at_a_time_is_not_sent_again_before_a_digest_can_have_shown_it() -> None:
