@@ -335,7 +335,8 @@ def claim_row(name: str, claim: Claim, figures: Sequence[KeptFigure]) -> str:
     if not any(cells):
         cells[0] = "no target" if figures else "not measured"
     on = claim.measured_on + (f"; [judged too](../outside.md#{heading})" if (heading := CLAIMS[name].judged) else "")
-    older = max((age(one, code_of(name)) for one in figures), default="")
+    code = code_of(name) if figures else ""
+    older = max((age(one, code) for one in figures), default="")
     return f"| [{name}]({name}.md): {CLAIMS[name].about} | {' | '.join(cells)} | {on} | {older} |"
 
 

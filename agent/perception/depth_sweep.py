@@ -270,23 +270,19 @@ def clarity_of(
     grids = [(grid(height, block, k, cuts=n), grid(width, block, k, cuts=n)) for k in size]
     sums = [tenengrad_sums(image, *edges) for image, edges in zip(images, grids, strict=True)]
 
-    def as_taken(along: int) -> Array:
-        """Clarity per pixel of squares of along x along cells."""
+    def per_pixel(along: int) -> Array:
+        """Clarity of squares of along x along cells."""
         return np.array(
             [_pooled(s, along) / areas(r[::along], c[::along]) for s, (r, c) in zip(sums, grids, strict=True)]
         )
 
+    clarity, finer, parts, sizes = per_pixel(n), None, n, size[:, None, None]
     half = [half_clarity(image, r[::n], c[::n]) for image, (r, c) in zip(images, grids, strict=True)]
-    power = growth_power(as_taken(n), np.array(half))
-
-    def per_pixel(along: int) -> Array:
-        """The same, as if the picture did not grow."""
-        scaled: Array = as_taken(along) * size[:, None, None] ** each_part(power, n // along)
-        return scaled
-
-    clarity, finer, parts = per_pixel(n), None, n
+    power = growth_power(clarity, np.array(half))
+    clarity *= sizes**power  # as if the picture did not grow
     if n > 1:
-        finer, parts = Finer(per_pixel(2), per_pixel(1)), 2
+        finer = Finer(*(per_pixel(along) * sizes ** each_part(power, n // along) for along in (2, 1)))
+        parts = 2
     sharp = sharpest(images, [(r[::parts], c[::parts]) for r, c in grids], finer.parts if finer else clarity, reference)
     in_box = None if box is None else box_clarity(images, size, box)
     return DepthSweep(lens_positions, clarity, sharp, growth, reference, in_box, finer)

@@ -52,8 +52,8 @@ from agent.core.ranging.focus import (
     with_sag,
 )
 from agent.core.step_io import SetPoint
-from agent.perception.clarity import gradient_energy, luminance
-from agent.perception.depth_peaks import measure_growth
+from agent.perception.clarity import gradient_energy, grid, luminance
+from agent.perception.depth_peaks import measure_growth, middle_px
 from agent.perception.vision import TimedCamera, movable
 from agent.process.command import Progress, Show, temporary_folder, with_bar, with_spinner
 from agent.process.launch import crew, wait_for
@@ -325,16 +325,16 @@ def peaks_aside(swept: BoardSweep) -> list[tuple[tuple[float, float], Peak]]:
     side, found = width // BLOCKS_ACROSS, list[tuple[tuple[float, float], Peak]]()
     growth = measure_growth(pictures) or 0.0  # unknown: as good as any
     size = 1.0 + growth * np.linspace(-0.5, 0.5, len(pictures))
-    for top, left in itertools.product(range(0, height - side + 1, side), range(0, width - side + 1, side)):
-        middle_px = left + (side - 1) / 2, top + (side - 1) / 2
-        xs, ys = (
-            np.clip(np.rint(first + (size - 1.0) * (middle - (of - 1) / 2)), 0, of - side).astype(int)
-            for first, middle, of in zip((left, top), middle_px, (width, height), strict=True)
-        )
-        blocks = [picture[y : y + side, x : x + side] for picture, x, y in zip(pictures, xs, ys, strict=True)]
+    tops, lefts = (
+        [np.clip(grid(length, side, k, cuts=2)[1::2] - side // 2, 0, length - side).tolist() for k in size]
+        for length in (height, width)
+    )
+    for row, col in itertools.product(range(height // side), range(width // side)):
+        corners = ((top[row], left[col]) for top, left in zip(tops, lefts, strict=True))
+        blocks = [picture[y : y + side, x : x + side] for picture, (y, x) in zip(pictures, corners, strict=True)]
         peak = board_peak(BoardSweep(lens_positions, blocks))
         if peak is not None:
-            found.append((middle_px, peak))
+            found.append((middle_px(row, col, side), peak))
     return found
 
 
