@@ -14,7 +14,7 @@ test: .venv/ready-test
 	$(BIN)/python -m hw.compiled
 	$(MAKE) --no-print-directory --jobs 2 lint suite
 
-# More workers would wait for the one that has tests/network.
+# A worker more than cores (tests/conftest.py); above four, they would wait for the one that has tests/network.
 suite: .venv/ready-test
 	$(BIN)/pytest -n auto --maxprocesses 4 -rs
 
