@@ -5,6 +5,7 @@ Without -n tests run in one process, in the order in which they stand.
 
 import os
 from collections import Counter
+from collections.abc import Generator
 
 import pytest
 
@@ -19,10 +20,10 @@ def pytest_configure(config: pytest.Config) -> None:
         os.environ.setdefault(name, "1")
 
 
-@pytest.hookimpl(optionalhook=True)
-def pytest_xdist_auto_num_workers(config: pytest.Config) -> int:
-    """What `-n auto` means: one worker more than there are cores, for the one that has tests/network mostly waits."""
-    return (os.cpu_count() or 1) + 1
+@pytest.hookimpl(optionalhook=True, wrapper=True)
+def pytest_xdist_auto_num_workers(config: pytest.Config) -> Generator[None, int, int]:
+    """What `-n auto` means: a worker more than xdist counts cores, for the one that has tests/network mostly waits."""
+    return (yield) + 1
 
 
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
