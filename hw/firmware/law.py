@@ -50,17 +50,17 @@ def _step(state, gains, y, ref, realised, ticks):
 
         p += H v;  v += H (sign a + d - drag(v)) / m;  a += (realised - a) (1 - exp(-H / lag))
         r = y - p;  p += L1 r;  v += L2 r;  d += L3 m r
-        want = sign (drag(v) - m (K1 clip(p - ref) + K2 v) - d);  want += K_LEAD (want - a)
+        want = sign (drag(v) - m (K1 clip(p - ref) + K2 v) - d);  want += LEAD (want - a)
     """
     sign, shift, unit, decay, linear, quadratic, k1, k2, cap, l1, l2, l3, lead, most = gains
     p, v, a, d = state
     realised = ((realised << shift) + (unit >> 1)) // unit
     for _ in range(ticks):
         p += (v + 16) >> 5
-        v += sign * a + d - ((v >> 4) * (linear + ((v if v >= 0 else -v) >> 10) * quadratic // 256) + 2048 >> 12)
+        v += sign * a + d - ((v >> 6) * (linear + ((v if v >= 0 else -v) >> 10) * quadratic // 256) + 512 >> 10)
         a += (realised - a + 2 >> 2) * decay + 2048 >> 12
     r = y - p
-    p += r * l1 + 512 >> 10
+    p += r * l1 + 2048 >> 12
     v += (r + 2 >> 2) * l2 + 128 >> 8
     d += r * l3 + 2048 >> 12
     state[0] = p
@@ -74,8 +74,8 @@ def _step(state, gains, y, ref, realised, ticks):
         e = cap
     elif e < -cap:
         e = -cap
-    drag = (v >> 4) * (linear + ((v if v >= 0 else -v) >> 10) * quadratic // 256) + 2048 >> 12
-    want = sign * (drag - (k1 * e + 2048 >> 12) - ((v >> 2) * k2 + 512 >> 10) - d)
+    drag = (v >> 6) * (linear + ((v if v >= 0 else -v) >> 10) * quadratic // 256) + 512 >> 10
+    want = sign * (drag - ((e + 2 >> 2) * k1 + 1024 >> 11) - ((v >> 2) * k2 + 512 >> 10) - d)
     want += (want - a + 2 >> 2) * lead + 128 >> 8
     if want > most:
         want = most

@@ -21,10 +21,13 @@ class FloatObserver:
     """Observer and feedback of law.Observer, for m, rad, N and Nm."""
 
     LINEAR, QUADRATIC = (3.0, 0.03, 0.03), (40.0, 0.12, 0.12)
-    K1, K2, CAP = (38.0, 30.0, 30.0), (11.5, 15.0, 15.0), (0.20, 0.23, 0.23)
+    K1, K2, CAP = (52.0, 50.0, 50.0), (13.77, 20.8, 20.8), (0.20, 0.23, 0.23)
+    L1, L2, L3 = (0.1406, 0.1719, 0.1719), (12.2, 12.6, 12.6), (18.0, 44.7, 44.7)
+    LEAD = (1.2, 1.3, 1.3)
+    LIGHTER = 0.64  # in tilt
 
     def __init__(self, heave_kg: float = 8.0, tilt_kgm2: float = 0.075, lag_s: float = 0.10) -> None:
-        self.inertia = (heave_kg, tilt_kgm2, tilt_kgm2)
+        self.inertia = (heave_kg, self.LIGHTER * tilt_kgm2, self.LIGHTER * tilt_kgm2)
         self.decay = 1.0 - math.exp(-H_S / lag_s)
         self.state = np.zeros((3, 4))  # position, speed, wrench that the thrusters give, disturbance
 
@@ -44,18 +47,33 @@ class FloatObserver:
         p, v = p + H_S * v, v + H_S * (SIGN[i] * a + d - drag(v)) / m
         a += (realised - a) * self.decay
         r = y - p
-        p, v, d = p + 0.58 * r, v + 9.0 * r, d + 28.0 * m * r
+        p, v, d = p + self.L1[i] * r, v + self.L2[i] * r, d + self.L3[i] * m * r
         self.state[i] = p, v, a, d
         e = max(-self.CAP[i], min(self.CAP[i], p - ref))
         want = SIGN[i] * (drag(v) - m * (self.K1[i] * e + self.K2[i] * v) - d)
-        return float(want + 1.4 * (want - a))
+        return float(want + self.LEAD[i] * (want - a))
 
     def terms(self, i: int, ref: float) -> float:
         """Sum of the sizes of what the wrench is the sum of."""
         m, (_, v, a, d) = self.inertia[i], np.abs(self.state[i])
         e = min(self.CAP[i], abs(self.state[i, 0] - ref))
         drag = (self.LINEAR[i] + self.QUADRATIC[i] * v) * v
-        return float(2.4 * (drag + m * (self.K1[i] * e + self.K2[i] * v) + d) + 1.4 * a)
+        return float((1.0 + self.LEAD[i]) * (drag + m * (self.K1[i] * e + self.K2[i] * v) + d) + self.LEAD[i] * a)
+
+
+class InFloats(FloatObserver):
+    """The same in the units of law.Observer, whose place it takes in a control."""
+
+    def reset(self, y: list[int]) -> None:
+        super().reset([1e-7 * one for one in y])
+
+    def step(self, y: list[int], ref: list[int], realised: list[int], want: list[int], ticks: int = 1) -> None:
+        assert ticks == 1
+        metres, newtons = ([1e-7 * one for one in row] for row in (y, ref)), [1e-6 * one for one in realised]
+        want[:] = [round(1e6 * one) for one in super().step(*metres, newtons)]
+
+    def disturbance(self, i: int) -> int:
+        return round(1e6 * float(self.state[i, 3]))
 
 
 class Cycle(NamedTuple):
