@@ -26,6 +26,7 @@ _NUDGE_LATE = const(6)
 _WEAK_SHOWS = const(4)
 _WEAK_SHOWS_TWICE = const(14)  # both times together: currents show as much once
 _CROSSED_SHOWS = const(14)
+_SETTLES = const(2)  # nudges after one in which the robot leant: what the law learnt of the push has to be forgotten
 _TIMES = const(2)  # in a row, of a robot that shall stay where it is
 _TIMES_UNDER_WAY = const(4)  # of one that is asked to go somewhere: what pushes it changes as nudges do
 _BENT_100nm = const(80000)  # out of the plane, where motion makes 4 mm
@@ -198,6 +199,7 @@ class Probe:
         """From the first nudge after arming."""
         self._at = self._named = self._times = self._roll = self._pitch = self._small = 0
         self._quiet = self._still = True  # since the nudge began
+        self._unsettled = 0  # nudges that show nothing yet
         self._parity = None  # at the beginning
         self.rocking = True  # once, to see whether its sensors follow
 
@@ -221,11 +223,14 @@ class Probe:
         bent = parity_100nm - self._parity
         return 0 if -_BENT_100nm < bent < _BENT_100nm else _SENSORS_CROSSED
 
-    def step(self, roll, pitch, full_mN, quiet, still):
+    def step(self, roll, pitch, full_mN, level, quiet, still):
         """End a cycle with the moments that the law believes in, uNm, and the full thrust, mN. What does not do what it
         is told, as an index of wire.REASONS, where nudges in a row have shown the same; else 0. A nudge that was not
-        given in quiet, the robot level and at its depth, shows nothing; still: nobody asks it to go anywhere either."""
+        given in quiet, the robot level and at its depth, shows nothing, nor do two after one in which it leant; still:
+        nobody asks it to go anywhere either."""
         self._at = (self._at + 1) % self._every
+        if not level:
+            self._unsettled = _SETTLES + 1
         if not quiet:
             self._quiet = False
         if not still:
@@ -240,6 +245,9 @@ class Probe:
             full = full_mN * 125 >> 7  # of uN, 1024 at a time
             roll, pitch = self._roll * 5 // (24 * full), self._pitch * 5 // (32 * full)
             named = _moved(roll, pitch)
+            if self._unsettled:
+                self._unsettled -= 1
+                named = 0
             if not self._quiet:
                 named = 0
             self._roll = self._pitch = 0

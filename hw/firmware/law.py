@@ -24,13 +24,14 @@ class Observer:
 
     def __init__(self, gains):
         """gains: of gains.observer()."""
-        self._state = [[0] * 4 for _ in range(3)]  # position, speed, what the thrusters give by now, disturbance
+        # position, speed, what the thrusters give by now, disturbance; what position is beyond its whole number, in 1/32
+        self._state = [[0] * 5 for _ in range(3)]
         self._gains = gains
 
     def reset(self, y):
         """Begin at rest at y, thrusters idle, nothing learnt."""
         for i in range(3):
-            self._state[i][:] = (y[i], 0, 0, 0)
+            self._state[i][:] = (y[i], 0, 0, 0, 0)
 
     def step(self, y, ref, realised, want, ticks=1):
         """Fill `want`, given measurement, reference and the wrench realised since the step before."""
@@ -53,20 +54,24 @@ def _step(state, gains, y, ref, realised, ticks):
         want = sign (drag(v) - m (K1 clip(p - ref) + K2 v) - d);  want += LEAD (want - a)
     """
     sign, shift, unit, decay, linear, quadratic, k1, k2, cap, l1, l2, l3, lead, most = gains
-    p, v, a, d = state
+    p, v, a, d, rest = state
     realised = ((realised << shift) + (unit >> 1)) // unit
     for _ in range(ticks):
-        p += (v + 16) >> 5
+        rest += v
+        p += rest >> 5
+        rest &= 31
         v += sign * a + d - ((v >> 6) * (linear + ((v if v >= 0 else -v) >> 10) * quadratic // 256) + 512 >> 10)
         a += (realised - a + 2 >> 2) * decay + 2048 >> 12
     r = y - p
-    p += r * l1 + 2048 >> 12
-    v += (r + 2 >> 2) * l2 + 128 >> 8
+    rest += r * l1 + 64 >> 7
+    p += rest >> 5
+    v += r * l2 + 128 >> 8
     d += r * l3 + 2048 >> 12
     state[0] = p
     state[1] = v
     state[2] = a
     state[3] = d
+    state[4] = rest & 31
     if not -_ABSURD < v < _ABSURD:
         raise ValueError("law diverged")
     e = p - ref

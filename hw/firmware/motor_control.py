@@ -103,7 +103,8 @@ class Control:
         self._realised = [0] * 3
         self._push = [0] * 3
         self._unwatched_us = self._cut = 0  # since the last look; whether thrust was cut meanwhile
-        self._quiet = self._still = False  # at the last look it was level and at its depth; and shall stay there
+        self._level = True  # at the last look
+        self._quiet = self._still = False  # then it was level and at its depth; and shall stay there
         self.values = []  # of the parameters; configure() comes before anything else
         self.law = None
 
@@ -294,7 +295,7 @@ class Control:
             reason = probe.rocked(self.plane.parity_100nm) if probe.rocking and calm else 0
             if not reason:
                 roll, pitch = law.disturbance(1), law.disturbance(2)
-                reason = probe.step(roll, pitch, self._thrust_max_mN, self._quiet, self._still)
+                reason = probe.step(roll, pitch, self._thrust_max_mN, self._level, self._quiet, self._still)
             if reason:
                 self.ladder.suspect(reason)
 
@@ -304,7 +305,8 @@ class Control:
             push[i] = law.disturbance(i)
         deep, roll, pitch = abs(y[0] - ref[0]), abs(y[1] - ref[1]), abs(y[2] - ref[2])
         off = roll if roll > pitch else pitch
-        self._quiet = not self._cut and deep < _QUIET_100nm and off < _QUIET_100nrad
+        self._level = off < _QUIET_100nrad
+        self._quiet = not self._cut and deep < _QUIET_100nm and self._level
         self._still = self._quiet and self.set_point.is_neutral(_STILL_uN, _STILL_uNm)
         self.ladder.watch(self._unwatched_us, deep, off, self._cut, push, self._still)
         self._unwatched_us = self._cut = 0

@@ -21,9 +21,9 @@ class FloatObserver:
     """Observer and feedback of law.Observer, for m, rad, N and Nm."""
 
     LINEAR, QUADRATIC = (3.0, 0.03, 0.03), (40.0, 0.12, 0.12)
-    K1, K2, CAP = (52.0, 50.0, 50.0), (13.77, 20.8, 20.8), (0.20, 0.23, 0.23)
-    L1, L2, L3 = (0.1406, 0.1719, 0.1719), (12.2, 12.6, 12.6), (18.0, 44.7, 44.7)
-    LEAD = (1.2, 1.3, 1.3)
+    K1, K2, CAP = (33.0, 50.0, 50.0), (11.23, 20.8, 20.8), (0.20, 0.23, 0.23)
+    L1, L2, L3 = (0.1001, 0.1719, 0.1719), (14.795, 12.598, 12.598), (26.55, 44.7, 44.7)
+    LEAD = (0.875, 1.3, 1.3)
     LIGHTER = 0.64  # in tilt
 
     def __init__(self, heave_kg: float = 8.0, tilt_kgm2: float = 0.075, lag_s: float = 0.10) -> None:

@@ -532,15 +532,31 @@ def test_a_thruster_is_weak_where_nudges_together_show_enough(shows, still, nudg
     probe, said = failsafe.Probe(100), set()
     for cycle in range(100 * nudges):
         sign = -1 if 23 <= (cycle + 1) % 100 - 6 < 69 else 1
-        said.add(probe.step(sign * shows * 520, -sign * shows * 690, 10_000, True, still))
+        said.add(probe.step(sign * shows * 520, -sign * shows * 690, 10_000, True, True, still))
     assert (wire.REASONS.index("T1 gives little or nothing") in said) is named
+
+
+def test_a_robot_that_leant_is_given_time_to_settle():
+    """Of a thruster that is weak, it is not said earlier than after two more nudges."""
+    weak = wire.REASONS.index("T1 gives little or nothing")
+
+    def named_in(leant: int) -> int:
+        """Cycles."""
+        probe = failsafe.Probe(100)
+        for cycle in range(1000):
+            sign = -1 if 23 <= (cycle + 1) % 100 - 6 < 69 else 1
+            if probe.step(sign * 9 * 520, -sign * 9 * 690, 10_000, cycle != leant, cycle != leant, True) == weak:
+                return cycle
+        raise AssertionError("never")
+
+    assert named_in(leant=10) == named_in(leant=-1) + 300
 
 
 def test_sensors_that_bend_where_the_robot_is_rocked_are_crossed():
     probe = failsafe.Probe(100)
     assert probe.rocking and {probe.rocked(mm * 10_000) for mm in (3, 7, -4, 10)} == {0}
     assert wire.REASONS[probe.rocked(-60_000)] == "neighbouring sensors are crossed"
-    rocked = [(probe.rocking and probe.rock(), probe.step(0, 0, 10_000, True, True))[0] for _ in range(300)]
+    rocked = [(probe.rocking and probe.rock(), probe.step(0, 0, 10_000, True, True, True))[0] for _ in range(300)]
     assert rocked.count(1) == rocked.count(-1) == 46 and not any(rocked[100:]), "once after arming"
     probe.begin()
     assert probe.rocking
