@@ -14,10 +14,10 @@ def observer(heave_kg=8.0, tilt_kgm2=0.075, lag_s=0.10):
 def _axis(i, inertia, lag_s):
     """The numbers of axis i (depth, roll, pitch) as law._step takes them, for an inertia in kg or kg m2.
 
-    Gains and feedback are from a search on models of one axis: the twin's robots and MuJoCo's ellipsoid, mass and drag
-    +-30 %, lags of 0.10 and 0.15 s, one to three samples of delay. All come to rest, then as soon as possible, without
-    more noise of thrust. In tilt the law takes a robot for lighter than it is: what it expects too much it sees as a
-    disturbance, which passes; a robot that is lighter than it is taken for swings on.
+    Gains and feedback are from a search on models of one axis, of the twin's body and of MuJoCo's ellipsoid: mass and
+    drag +-30 %, lags of 0.10 and 0.15 s, one to three samples of delay. All come to rest, then as soon as possible,
+    without more noise of thrust. In tilt the law takes a robot for lighter than it is: what it expects too much it sees
+    as a disturbance, which passes; a robot that is lighter than it is taken for swings on.
     """
     inertia *= (1.0, 0.64)[i > 0]
     linear, quadratic = ((3.0, 40.0), (0.03, 0.12))[i > 0]  # drag, N s/m and N s2/m2, in roll and pitch with Nm

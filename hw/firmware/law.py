@@ -24,7 +24,7 @@ class Observer:
 
     def __init__(self, gains):
         """gains: of gains.observer()."""
-        # position, speed, what the thrusters give by now, disturbance; what position is beyond its whole number, in 1/32
+        # position, speed, what the thrusters give by now, disturbance; of position what is no whole number, in 1/32
         self._state = [[0] * 5 for _ in range(3)]
         self._gains = gains
 
