@@ -9,9 +9,7 @@ from pathlib import Path
 from types import ModuleType
 from typing import Any
 
-import numpy as np
-
-from hw.firmware import failsafe, thrust, wire
+from hw.firmware import failsafe, wire
 from tests.hw.firmware.nominal_plant import AIR_PA, PA_PER_M
 
 FIRMWARE = Path(wire.__file__).parent
@@ -27,13 +25,6 @@ def firmware_main() -> ModuleType:
     main = importlib.import_module("main")
     main.orders.put_away = lambda: None  # memory is not scarce here, and thousands of boards would read its files again
     return main
-
-
-def lift(pulses_us: Iterable[int]) -> float:
-    """Of T1-T4 by the board's own curve, of the full thrust of one."""
-    off_us = np.array(list(pulses_us)) - thrust.NEUTRAL_US
-    forces = np.interp(np.abs(off_us), thrust.CURVE_US, thrust.CURVE) / thrust.CURVE[-1]
-    return float(np.where(off_us > 0, forces, -0.8 * forces).sum())
 
 
 class BareHal:

@@ -309,16 +309,16 @@ def armed(name: str, first: list[int], **flash: float) -> Any:
     return control
 
 
-def fly(name: str, number: type[int] = int, law: Any = None, **flash: float) -> tuple[np.ndarray, np.ndarray, Any]:
+def fly(name: str, number: type[int] = int, instead: Any = None, **flash: float) -> tuple[np.ndarray, np.ndarray, Any]:
     """Pulses of the recorded dive now and as recorded, (1000, 8) each, and the control after it.
 
-    `law` takes the place of its own.
+    instead: a law in place of its own.
     """
     cycles = list(recorded(name))
     control = armed(name, [number(p) for p in cycles[0].pressure_mPa], **flash)
-    if law is not None:
-        control.law = law
-        law.reset(control._y)
+    if instead is not None:
+        control.law = instead
+        instead.reset(control._y)
     pulses = []
     for cycle in cycles:
         control.set_point.age_us, control.set_point.ttl_us = 0, 500_000
@@ -344,7 +344,7 @@ def test_pulses_are_those_of_the_law_in_floats(name):
     """
     now, floats, _ = fly(name)
     if name == "observer":  # its gains are newer than its recording
-        floats, _, _ = fly(name, law=InFloats())
+        floats, _, _ = fly(name, instead=InFloats())
     off = np.abs(now - floats)
     turns = np.minimum(np.abs(floats - NEUTRAL_US), np.abs(now - NEUTRAL_US)) > DEAD_BAND_US
     assert off[turns].max() <= 1

@@ -8,12 +8,13 @@ import math
 import struct
 import zlib
 
+import numpy as np
 import pytest
 
-from hw.firmware import failsafe, parameters, wire
+from hw.firmware import failsafe, parameters, thrust, wire
 from hw.firmware.parameters import TABLE
 from hw.stm32.driver import IDS
-from tests.hw.firmware.bare_board import BareBoard, BareHal, lift
+from tests.hw.firmware.bare_board import BareBoard, BareHal
 from tests.hw.firmware.nominal_plant import AIR_PA
 
 NEUTRAL = (1500,) * 8
@@ -129,6 +130,13 @@ def test_mode_bench_turns_one_thruster_slowly_and_stops_with_the_host(desk):
     assert desk.tick()[1] == 1560
     assert desk.tick(55)[-1] == wire.DISARMED, "half a second of silence"
     assert desk.tick()[1:9] == NEUTRAL
+
+
+def lift(pulses_us):
+    """Of T1-T4 by the board's own curve, of the full thrust of one."""
+    off_us = np.array(pulses_us) - thrust.NEUTRAL_US
+    forces = np.interp(np.abs(off_us), thrust.CURVE_US, thrust.CURVE) / thrust.CURVE[-1]
+    return np.where(off_us > 0, forces, -0.8 * forces).sum()
 
 
 def test_mode_stabilise_leaves_depth_alone_until_the_host_is_silent(desk):
