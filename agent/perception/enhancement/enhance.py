@@ -42,8 +42,10 @@ Image = NDArray[np.uint8]
 #
 # Water takes red first. A picture in which red reaches as far as it would in air, and in which some bright things are
 # warm, lacks nothing that an enhancement could bring back: its blue is the water's own, and stays. None of 108 real
-# pictures that were made better by people passes both, and 100 of what people made of them do.
+# pictures that were made better by people passes both, and 99 of what people made of them do. What is burnt out has
+# lost its colour and has no say: the white sky above green water is as red as it is blue.
 
+BURNT = 250  # of 255: where the brightest colour reaches it, nothing is known of the others
 RED_RANGE = (0.55, 0.65)  # from the darkest hundredth to the brightest, full scale 1: below no, above yes
 WARM_SHARE = (0.01, 0.04)  # of the pixels
 WARM, BRIGHT = 0.95, 0.25  # red against the stronger of the others; full scale 1
@@ -56,9 +58,13 @@ def needs_nothing(image: Image) -> float:
 
 def share_kept(seen: Floats) -> float:
     """The same of a small picture (h, w, 3), full scale 1."""
+    brightest = seen.max(axis=2)
     blue, green, red = cv2.split(seen)
-    dark, bright = np.percentile(red, (1, 99))
-    warm = (red >= WARM * cv2.max(blue, green)) & (seen.max(axis=2) > BRIGHT)
+    known = brightest < np.float32(BURNT / 255)
+    if not known.any():
+        return 1.0
+    dark, bright = np.percentile(red[known], (1, 99))
+    warm = known & (red >= WARM * cv2.max(blue, green)) & (brightest > BRIGHT)
     return min(_ramp(bright - dark, *RED_RANGE), _ramp(float(warm.mean()), *WARM_SHARE))
 
 
@@ -86,8 +92,8 @@ CLIP_LIMIT, TILES = 2.0, (8, 8)  # CLAHE: steep enough to lift the veil, shallow
 
 
 def white_balance(image: Image) -> Image:
-    """Scale the planes to one mean (grey world). Burnt-out pixels have lost their colour and do not vote."""
-    votes = (image.max(axis=2) < 250).astype(np.uint8)
+    """Scale the planes to one mean (grey world). Burnt-out pixels do not vote."""
+    votes = (image.max(axis=2) < BURNT).astype(np.uint8)
     mean = np.array(cv2.mean(image, votes)[:3])
     gain = np.clip(mean.mean() / np.maximum(mean, 1.0), 1.0 / MAX_GAIN, MAX_GAIN)
     table = np.clip(np.arange(256.0)[:, None] * gain[None, :] + 0.5, 0, 255).astype(np.uint8)

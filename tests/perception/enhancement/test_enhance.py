@@ -282,6 +282,21 @@ def test_blue_water_with_no_warm_thing_in_it_is_not_taken_for_air():
     assert needs_nothing(image) == 0.0
 
 
+def test_a_burnt_out_sky_over_green_water_says_nothing_of_it():
+    image = (in_air() * [0.5, 0.8, 0.2]).astype(np.uint8)
+    image[:60] = 255
+    assert needs_nothing(image) == 0.0
+    assert needs_nothing(np.full_like(image, 255)) == 1.0  # nothing can be brought back
+
+
+def test_pools_seen_with_the_sky_above_are_not_left_alone():
+    try:
+        folder = shared("real_water", "balls")
+    except ConfigError as absent:
+        pytest.skip(str(absent))
+    assert max(needs_nothing(cv2.imread(str(path))) for path in sorted(folder.glob("*.jpg"))) == 0.0
+
+
 def test_real_pictures_that_need_it_are_told_from_those_that_do_not():
     """None of the raw pictures that people have made better is left alone; nine in ten of what they made of them is."""
     try:
