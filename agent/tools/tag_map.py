@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 import shutil
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -208,9 +209,17 @@ def _focal(calibration: Calibration) -> float:
 # from its own four corners, and other pictures that show these. A square seen from afar or square on has two poses
 # that look nearly alike. A tag takes the one in which it lies flat on a face; a picture of one known tag waits for
 # another.
+#
+# Such a chain drifts, by decimetres from a few small tags. So it is adjusted again and again as it grows. A tag that
+# does not fit then loses its place, and pictures take their poses anew from the others: what is far off is not found by
+# adjusting it.
 
+GROWN = 1.5  # pictures with a pose, from one adjustment to the next
 APART = 2.0  # of the two poses' misfits: less does not tell which it is
 OFF_M, LEAN_DEG = 0.05, 20.0  # from its face, as a single view has it: the other pose of a square is farther off
+
+
+Pose = tuple[Array, Array]  # world to camera, (3, 3) and (3,)
 
 
 class Start(NamedTuple):
@@ -221,30 +230,58 @@ class Start(NamedTuple):
     unplaced: tuple[int, ...]  # ids that were seen, and no chain of pictures leads to
 
 
-def start(frames: Sequence[SurveyFrame], known: Sequence[Tag], size_m: float, tank: Tank) -> Start:
+def start(
+    frames: Sequence[SurveyFrame], known: Sequence[Tag], size_m: float, tank: Tank, prior_of: Callable[[Start], Prior]
+) -> Start:
     """Raises ConfigError where no picture shows a tag of known place with another tag."""
-    placed, poses, waiting = {tag.id: tag for tag in known}, {}, dict(enumerate(frames))
-    while waiting:
-        order = sorted(waiting, key=lambda k: -sum(tag.id in placed for tag in waiting[k].tags))
-        for k in order:
-            there = [tag for tag in waiting[k].tags if tag.id in placed]
-            pose = camera_pose(there, placed, size_m) if there else None
-            if pose is not None:
-                break
-        else:
-            break
-        poses[k] = pose
-        for tag in waiting.pop(k).tags:
-            if tag.id not in placed and (found := placed_by(tag, pose, size_m, tank)) is not None:
-                placed[tag.id] = found
-    seen = {tag.id for frame in frames for tag in frame.tags}
-    used = sorted(poses)
-    shown = tuple(sorted(seen & placed.keys() & {tag.id for k in used for tag in frames[k].tags}))
-    if len(shown) < 2:
+    sure = {tag.id: tag for tag in known}
+    placed, poses, most = dict(sure), dict[int, Pose](), 2.0
+    while most < GROWN * len(frames) and any(tag.id not in sure for frame in frames for tag in frame.tags):
+        extend(poses, placed, frames, round(most), size_m, tank)
+        if poses:
+            chain = begun(frames, poses, placed)
+            found = bundle(chain.frames, chain.cameras, prior_of(chain), size_m)
+            placed = that_fit(found, tank) | sure
+            again = ((k, camera_pose(frames[k].tags, placed, size_m)) for k in poses)
+            poses = {k: pose for k, pose in again if pose is not None}
+        most *= GROWN
+    extend(poses, placed, frames, len(frames), size_m, tank)
+    chain = begun(frames, poses, placed)
+    if len(chain.faces) < 2:
         names = ", ".join(str(tag.id) for tag in known)
         raise ConfigError(
             f"no picture shows a tag of known place ({names}) whole beside another; film slowly along them"
         )
+    return chain
+
+
+def extend(
+    poses: dict[int, Pose],
+    placed: dict[int, Tag],
+    frames: Sequence[SurveyFrame],
+    most: int,
+    size_m: float,
+    tank: Tank,
+) -> None:
+    """Give poses to more pictures, up to `most`, and places to their tags; those with the most placed tags first."""
+    waiting = {k: frame for k, frame in enumerate(frames) if k not in poses}
+    while len(poses) < most:
+        order = sorted(waiting, key=lambda k: -sum(tag.id in placed for tag in waiting[k].tags))
+        each = ((k, camera_pose(waiting[k].tags, placed, size_m)) for k in order)
+        k, pose = next((one for one in each if one[1] is not None), (0, None))
+        if pose is None:
+            return
+        poses[k] = pose
+        for tag in waiting.pop(k).tags:
+            if tag.id not in placed and (found := placed_by(tag, pose, size_m, tank)) is not None:
+                placed[tag.id] = found
+
+
+def begun(frames: Sequence[SurveyFrame], poses: dict[int, Pose], placed: dict[int, Tag]) -> Start:
+    """The pictures that have a pose, with the tags that they show and that have a place."""
+    seen = {tag.id for frame in frames for tag in frame.tags}
+    used = sorted(poses)
+    shown = tuple(sorted(placed.keys() & {tag.id for k in used for tag in frames[k].tags}))
     faces = tuple(placed[one] for one in shown)
     rotation = np.array([np.column_stack([*axes(tag), np.cross(*axes(tag))]) for tag in faces])
     return Start(
@@ -256,8 +293,22 @@ def start(frames: Sequence[SurveyFrame], known: Sequence[Tag], size_m: float, ta
     )
 
 
-def camera_pose(seen: Sequence[SeenTag], placed: dict[int, Tag], size_m: float) -> tuple[Array, Array] | None:
-    """World to camera, (3, 3) and (3,); None where the picture does not tell."""
+def that_fit(found: Bundle, tank: Tank) -> dict[int, Tag]:
+    """The tags of an adjustment, but those that miss in many views and those that have left walls and floor."""
+    fit = dict[int, Tag]()
+    for k, (one, middle_m, rotation) in enumerate(zip(*found.tags, strict=True)):
+        missed = found.doubtful[found.seen[:, 1] == k] > HUBER
+        tag = flattened_on(one, middle_m, rotation, tank)
+        if tag is not None and missed.mean() <= BAD_SHARE:
+            fit[one] = tag
+    return fit
+
+
+def camera_pose(tags: Sequence[SeenTag], placed: dict[int, Tag], size_m: float) -> Pose | None:
+    """World to camera, by the tags that have a place; None where the picture does not tell."""
+    seen = [tag for tag in tags if tag.id in placed]
+    if not seen:
+        return None
     world = np.concatenate([corners(placed[tag.id], size_m) for tag in seen])
     slopes = np.concatenate([np.array(tag.corners) for tag in seen])
     method = cv2.SOLVEPNP_IPPE if len(seen) == 1 else cv2.SOLVEPNP_SQPNP
@@ -269,23 +320,30 @@ def camera_pose(seen: Sequence[SeenTag], placed: dict[int, Tag], size_m: float) 
     return np.asarray(cv2.Rodrigues(turns[0])[0], np.float64), np.asarray(shifts[0], np.float64).ravel()
 
 
-def placed_by(seen: SeenTag, pose: tuple[Array, Array], size_m: float, tank: Tank) -> Tag | None:
+def placed_by(seen: SeenTag, pose: Pose, size_m: float, tank: Tank) -> Tag | None:
     """A tag on its face, from one picture of known pose; None where it lies on none."""
     square = np.column_stack([0.5 * size_m * CORNERS, np.zeros(4)])
     found, turns, shifts, _ = cv2.solvePnPGeneric(
         square, np.array(seen.corners), np.eye(3), None, flags=cv2.SOLVEPNP_IPPE_SQUARE
     )
     for turn, shift in zip(turns, shifts, strict=True) if found else ():
-        rotation = pose[0].T @ cv2.Rodrigues(turn)[0]
-        middle = pose[0].T @ (shift.ravel() - pose[1])
-        x, y, z = middle.tolist()
-        right, up = ((a, b, c) for a, b, c in rotation[:, :2].T.tolist())
-        tag = on_face(seen.id, (x, y, z), right, up, tank, OFF_M, LEAN_DEG)
-        if isinstance(tag, Tag):
-            axis, at_m = plane(tag.face, tank)
-            x, y, z = (at_m if k == axis else value for k, value in enumerate(middle.tolist()))
-            return Tag(id=tag.id, face=tag.face, position_m=(x, y, z), turn_deg=tag.turn_deg)
+        middle_m = pose[0].T @ (shift.ravel() - pose[1])
+        tag = flattened_on(seen.id, middle_m, pose[0].T @ cv2.Rodrigues(turn)[0], tank)
+        if tag is not None:
+            return tag
     return None
+
+
+def flattened_on(id: int, middle_m: Array, rotation: Array, tank: Tank) -> Tag | None:
+    """A tag put flat on the face that it is on, or nearly; None where it is on none."""
+    x, y, z = middle_m.tolist()
+    right, up = ((a, b, c) for a, b, c in rotation[:, :2].T.tolist())
+    tag = on_face(id, (x, y, z), right, up, tank, OFF_M, LEAN_DEG)
+    if not isinstance(tag, Tag):
+        return None
+    axis, at_m = plane(tag.face, tank)
+    x, y, z = (at_m if k == axis else value for k, value in enumerate((x, y, z)))
+    return Tag(id=id, face=tag.face, position_m=(x, y, z), turn_deg=tag.turn_deg)
 
 
 # --- `aucamp calibrate landmarks` ---
@@ -349,31 +407,31 @@ def survey(views: Views, fleet: Fleet, known: Sequence[Tag], flat: bool) -> Surv
     """Raises ConfigError where the pictures do not hang together, Failed where they do not fit."""
     landmarks = fleet.landmarks
     assert landmarks is not None
-    begun = start(views.frames, known, landmarks.size_m, fleet.tank)
-    prior = priors(begun, known, landmarks, flat, views.focal)
-    result = bundle(begun.frames, begun.cameras, prior, landmarks.size_m)
+    prior_of = partial(priors, known=known, landmarks=landmarks, flat=flat, focal=views.focal)
+    chain = start(views.frames, known, landmarks.size_m, fleet.tank, prior_of)
+    result = bundle(chain.frames, chain.cameras, prior_of(chain), landmarks.size_m)
     if not result.misfit_px <= MISFIT_PX:
         raise Failed(
             f"corners miss by {result.misfit_px:.1f} px; check size_m, the places of known tags, and that this "
             "calibration is of this camera, in this water"
         )
     listed = {tag.id: tag for tag in landmarks.tag}
-    tags = [one(result, begun, k, listed, fleet) for k in range(len(result.tags.ids))]
-    return Survey(tags, len(begun.frames), result, begun.unplaced)
+    tags = [one(result, chain, k, listed, fleet) for k in range(len(result.tags.ids))]
+    return Survey(tags, len(chain.frames), result, chain.unplaced)
 
 
-def priors(begun: Start, known: Sequence[Tag], landmarks: Landmarks, flat: bool, focal: float) -> Prior:
+def priors(chain: Start, known: Sequence[Tag], landmarks: Landmarks, flat: bool, focal: float) -> Prior:
     sure = {tag.id for tag in known}
     place = {True: [landmarks.sigma_m] * 3, False: [np.inf, np.inf, FLAT_M if flat else np.inf]}
     lean = FLAT_DEG if flat else np.inf
     turn = {True: [landmarks.sigma_deg] * 3, False: [lean, lean, np.inf]}
     floor = 1e-6  # who states a sigma of 0 means that the place defines the frame
-    sigma_m = np.maximum([place[one in sure] for one in begun.tags.ids], floor)
-    sigma_rad = np.radians(np.maximum([turn[one in sure] for one in begun.tags.ids], floor))
-    return Prior(begun.tags, begun.tags.rotation, sigma_m, sigma_rad, PRINT, focal)
+    sigma_m = np.maximum([place[one in sure] for one in chain.tags.ids], floor)
+    sigma_rad = np.radians(np.maximum([turn[one in sure] for one in chain.tags.ids], floor))
+    return Prior(chain.tags, chain.tags.rotation, sigma_m, sigma_rad, PRINT, focal)
 
 
-def one(result: Bundle, begun: Start, k: int, listed: dict[int, Tag], fleet: Fleet) -> Surveyed:
+def one(result: Bundle, chain: Start, k: int, listed: dict[int, Tag], fleet: Fleet) -> Surveyed:
     """The k-th tag. Raises Failed where it ended far from its face."""
     rotation, covariance = result.tags.rotation[k], result.covariance[k]
     x, y, z = result.tags.middle_m[k].tolist()
@@ -381,8 +439,8 @@ def one(result: Bundle, begun: Start, k: int, listed: dict[int, Tag], fleet: Fle
     tag = on_face(result.tags.ids[k], (x, y, z), right, up, fleet.tank)
     if isinstance(tag, str):
         raise Failed(f"{tag}; its print may be mirrored or another's, or the tank's size is wrong")
-    lean = turned_by(rotation @ begun.tags.rotation[k].T)
-    lean -= begun.tags.rotation[k][:, 2] * (begun.tags.rotation[k][:, 2] @ lean)  # without its turn
+    lean = turned_by(rotation @ chain.tags.rotation[k].T)
+    lean -= chain.tags.rotation[k][:, 2] * (chain.tags.rotation[k][:, 2] @ lean)  # without its turn
     turns = float(np.trace(covariance[3:, 3:]) + lean @ lean) / 3.0
     was = listed.get(tag.id)
     mine = result.seen[:, 1] == k

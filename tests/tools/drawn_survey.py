@@ -3,6 +3,7 @@
 from typing import NamedTuple
 
 import numpy as np
+from msgspec.structs import replace
 from scipy.spatial.transform import Rotation
 
 from agent.capabilities.swim.landmarks import axes
@@ -54,6 +55,34 @@ def film(rng, truth: Truth, frames: int) -> list[SurveyFrame]:
         if len(out[-1].tags) < 2:
             out.pop()
     return out
+
+
+SMALL_PX, FOUND_PX = 30.0, 0.4  # sides below which a tag's edges cannot be fitted; its corners then scatter by that
+LEAST_PX = 14.0  # smaller ones are not found
+
+
+def basin_film(rng, truth: Truth, ids: tuple[int, ...], frames: int) -> list[SurveyFrame]:
+    """A camera is taken about a basin of 3 x 2 m and looks everywhere: most of what it sees is far away."""
+    out = []
+    while len(out) < frames:
+        eye = rng.uniform((0.6, 0.6, 0.25), (2.4, 1.4, 0.42))
+        yaw, tilt = np.radians(rng.uniform((-180.0, -50.0), (180.0, 0.0)))
+        ahead = np.array([np.cos(yaw) * np.cos(tilt), np.sin(yaw) * np.cos(tilt), np.sin(tilt)])
+        tags = tuple(
+            replace(as_found(rng, tag), id=ids[tag.id])
+            for tag in seen(rng, truth, eye, ahead)
+            if tag.size_px > LEAST_PX
+        )
+        if len(tags) > 1:
+            out.append(SurveyFrame(F_PX, SIZE_PX[0], tags))
+    return out
+
+
+def as_found(rng, tag: SeenTag) -> SeenTag:
+    if tag.size_px > SMALL_PX:
+        return tag
+    noisy = np.array(tag.corners) + rng.normal(0, FOUND_PX / F_PX, (4, 2))
+    return replace(tag, edges=False, corners=tuple(map(tuple, noisy.tolist())))
 
 
 def seen(rng, truth: Truth, eye, ahead) -> tuple[SeenTag, ...]:

@@ -1,6 +1,7 @@
 """Surveys of tags that are drawn: what is found, how sure it says it is, and what the verb writes and refuses."""
 
 import re
+from functools import partial
 from types import SimpleNamespace
 
 import cv2
@@ -34,7 +35,7 @@ from agent.tools.tag_map import (
 )
 from tests.known_lens import CAMERA
 from tests.perception.printed import modules, photograph
-from tests.tools.drawn_survey import SIDE_M, SIGMA_DEG, SIGMA_M, SIZE_SPREAD, TANK, drawn, film, listed
+from tests.tools.drawn_survey import SIDE_M, SIGMA_DEG, SIGMA_M, SIZE_SPREAD, TANK, basin_film, drawn, film, listed
 from tests.tools.planes import CALIBRATION
 
 KNOWN = (0, 4, 11)
@@ -56,8 +57,9 @@ def test_the_survey_is_as_good_as_it_says():
     for seed in range(8):
         rng = np.random.default_rng(seed)
         truth = drawn(rng, LISTED)
-        begun = start(film(rng, truth, 24), known, SIDE_M, TANK)
-        prior = priors(begun, known, LISTED, flat=True, focal=1e-5)._replace(size=SIZE_SPREAD)
+        prior_of = partial(priors, known=known, landmarks=LISTED, flat=True, focal=1e-5)
+        begun = start(film(rng, truth, 24), known, SIDE_M, TANK, prior_of)
+        prior = prior_of(begun)._replace(size=SIZE_SPREAD)
         off, lean = np.minimum(prior.sigma_m, [np.inf, np.inf, SIGMA_M]), np.radians([SIGMA_DEG, SIGMA_DEG, np.inf])
         prior = prior._replace(sigma_m=off, sigma_rad=np.minimum(prior.sigma_rad, lean))
         result = bundle(begun.frames, begun.cameras, prior, SIDE_M)
@@ -86,6 +88,18 @@ def test_tags_that_nobody_listed_are_found(filmed):
         assert each.tag.face == there.face and abs((each.tag.turn_deg - there.turn_deg + 180) % 360 - 180) < 0.5
         assert np.abs(each.tag.position_m - truth.middle_m[there.id]).max() < 4 * each.sigma_m
         assert (each.moved_m is None) == (each.tag.id not in KNOWN)
+
+
+def test_a_long_chain_of_small_tags_does_not_drift_away():
+    """Six tags known of 68, in a basin where most that a picture shows is small."""
+    fleet, rng = load_fleet(shipped_fleet("swim")), np.random.default_rng(0)
+    truth, ids = drawn(rng, fleet.landmarks), tuple(tag.id for tag in fleet.landmarks.tag)
+    known = known_tags(fleet, (2, 7, 20, 33, 46, 61), "fleet.toml")
+    found = survey(Views(basin_film(rng, truth, ids, 40), 40, 0.002), fleet, known, flat=True)
+    assert len(found.tags) > 40 and found.bundle.misfit_px < 0.3
+    for each in found.tags:
+        off_m = np.abs(each.tag.position_m - truth.middle_m[ids.index(each.tag.id)]).max()
+        assert off_m < 5 * each.sigma_m
 
 
 def test_without_faces_it_is_found_too_and_known_less_well(filmed):
@@ -146,7 +160,7 @@ def test_what_cannot_be_surveyed_is_one_line(filmed, tmp_path, monkeypatch):
         known_tags(replace(FLEET, landmarks=None), (), fleet)
     alone = [frame._replace(tags=frame.tags[1:3]) for frame in filmed[1] if frame.tags[0].id == 0][:1]
     with pytest.raises(ConfigError, match=r"no picture shows a tag of known place \(0\)"):
-        start(alone, LISTED.tag[:1], SIDE_M, TANK)
+        start(alone, LISTED.tag[:1], SIDE_M, TANK, priors)
 
 
 def test_turns_and_vectors():
