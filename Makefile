@@ -2,7 +2,10 @@
 PYTHON ?= python3
 BIN := .venv/bin
 
-.PHONY: venv run test suite firmware docs outside fuzz lint format clean
+# Tests start hundreds of processes: they read byte code, whatever the shell says.
+export PYTHONDONTWRITEBYTECODE :=
+
+.PHONY: venv run test linked collected suite firmware docs outside fuzz lint format clean
 
 venv: .venv/ready
 run: .venv/ready
@@ -11,8 +14,15 @@ run: .venv/ready
 
 # One worker has tests/network, which mostly wait (tests/conftest.py): there is time for lint beside it.
 test: .venv/ready-test
-	$(BIN)/python -m hw.compiled
+	$(MAKE) --no-print-directory --jobs 2 linked collected
 	$(MAKE) --no-print-directory --jobs 2 lint suite
+
+linked: .venv/ready-test
+	$(BIN)/python -m hw.compiled
+
+# Byte code of all tests, which else each worker makes for itself. What cannot be collected is told by the suite.
+collected: .venv/ready-test
+	$(BIN)/pytest --collect-only --quiet > /dev/null || true
 
 # A worker more than cores (tests/conftest.py); above four, they would wait for the one that has tests/network.
 suite: .venv/ready-test

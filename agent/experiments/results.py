@@ -226,6 +226,8 @@ def digits(value: float, count: int = 3) -> str:
 def value_of(told: Told) -> str:
     if not told.n:
         return "no case"
+    if math.isinf(float(told.value)):
+        return "never" if told.unit == "s" else "none"
     return f"{digits(float(told.value), 4 if is_exact(told) else 3)} {told.unit}".rstrip()
 
 

@@ -79,7 +79,7 @@ Place = Callable[[Vector | None, tuple[int, int]], None]  # board's centre about
 
 NEAREST_M, FARTHEST_M, DISTANCES = 0.22, 1.2, 16  # equal steps of 1/u, as the lens sees them
 SWEEP_PX = (280, 200)  # the picture's middle that a sweep reads: of 31 degrees, nearly all of the board at the far end
-WHOLE = range(6, DISTANCES + 1)  # the distances, counted from 1, at which all of the picture is read: from 0.48 m on
+WHOLE = range(6, DISTANCES + 1, 2)  # the distances, counted from 1, at which all of the picture is read: from 0.48 m on
 FEWEST_PLACES = 12  # in these sweeps, to tell three numbers and some to check them with
 WHOLE_FLANKS, WHOLE_STEPS = 1.8, 13  # half widths on either side of the peak of the middle, and pictures
 BLOCKS_ACROSS = 10  # places in a row of the picture that tell how peaks aside differ; they are square
@@ -264,7 +264,7 @@ def sweep_whole(fleet: Fleet, camera: TimedCamera, limits: FocusRange, peak: Pea
 
 def sweep_board(fleet: Fleet, camera: TimedCamera, limits: FocusRange, part: Roi, steps: Array) -> BoardSweep:
     """Pictures of a part of the frame at rising lens positions, after homing."""
-    home(camera, limits, part)
+    home(camera, limits)
     lens_positions, pictures = list[float](), list[NDArray[np.uint8]]()
     for wanted in steps:
         reported = camera.set_focus(round(wanted))
@@ -388,10 +388,10 @@ def approach(place: Place, board_m: Vector, us: tuple[int, int]) -> None:
     place(board_m, us)
 
 
-def home(camera: TimedCamera, limits: FocusRange, roi: Roi) -> None:
+def home(camera: TimedCamera, limits: FocusRange) -> None:
     """Bring the lens to rest at its smallest position."""
     camera.set_focus(limits.lowest)
-    camera.read(roi, settle_s=max(HOMING_S, camera.homing_s))
+    camera.read(middle_of(camera.size), settle_s=max(HOMING_S, camera.homing_s))
 
 
 def resting(camera: TimedCamera) -> NDArray[np.uint8]:
