@@ -104,13 +104,14 @@ def cell(here_m: Planar, others_m: Sequence[Planar], tank_m: Planar) -> Polygon:
     return part
 
 
-def lanes(part: Polygon, lane_m: float, here_m: Planar) -> tuple[Planar, ...]:
-    """Ends of lanes along the longer side of a part, in the order in which they are swum, to and fro, from the end
-    that is nearest. From a lane a robot sees half of lane_m to either side, and so much beyond its ends."""
+def lanes(part: Polygon, lane_m: float, here_m: Planar, crosswise: bool = False) -> tuple[Planar, ...]:
+    """Ends of lanes along the longer side of a part, or across it, in the order in which they are swum, to and fro,
+    from the end that is nearest. From a lane a robot sees half of lane_m to either side, and so much beyond its ends.
+    """
     if len(part) < 3:
         return ()
     spans = [max(point[axis] for point in part) - min(point[axis] for point in part) for axis in (0, 1)]
-    along = 0 if spans[0] >= spans[1] else 1
+    along = 0 if (spans[0] >= spans[1]) != crosswise else 1
     count = max(math.ceil(spans[1 - along] / lane_m), 1)
     first = min(point[1 - along] for point in part)
     found = []
@@ -177,6 +178,7 @@ class Hunt(NamedTuple):
     way: tuple[Planar, ...] = ()  # ends of lanes, in the order in which they are swum
     next: int = 0
     split: int = 0  # among how many the tank was divided
+    rounds: int = 0  # of its part that it has been through
     waits_m: Planar | None = None  # where it stopped, to look or to measure
     seen_ns: int | None = None  # when the target was last in view
     done: bool = False
@@ -218,5 +220,8 @@ def _next(what: Search, hunt: Hunt, here: Planar, around: Surroundings) -> Hunt:
         hunt = hunt._replace(next=hunt.next + 1)
     if hunt.next < len(hunt.way) and hunt.split == split:
         return hunt
-    ways = lanes(cell(here, around.fellows_m, around.tank_m), what.lane_m, here)
+    if hunt.way and hunt.next == len(hunt.way):  # all seen, and nothing found: now from other sides
+        hunt = hunt._replace(rounds=hunt.rounds + 1)
+    part = cell(here, around.fellows_m, around.tank_m)
+    ways = lanes(part, what.lane_m, here, crosswise=hunt.rounds % 2 == 1)
     return hunt._replace(way=ways or (within_walls(here, around.tank_m),), next=0, split=split)

@@ -77,14 +77,17 @@ def test_who_has_no_part_stays_where_it_is() -> None:
 # --- step by step ---------------------------------------------------------------------------------------------------
 
 
-def test_it_swims_slowly_from_end_to_end_and_begins_again() -> None:
+def test_it_swims_slowly_from_end_to_end_and_then_crosswise() -> None:
     progress, reached, pose = start(HERE, 0.0, S), [], HERE
-    for _ in range(12):
+    for _ in range(16):
         to, progress = reference(WHAT, progress, pose, S, None, around())
         assert to.most_m_s == WHAT.speed_m_s and not to.done
         reached.append(to.place_m)
         pose = (*to.place_m, to.yaw)
-    assert len(set(reached)) == 4 and reached[:4] != reached[4:8]  # two lanes, back the other way
+    first, second, third = reached[:4], reached[4:12], reached[12:]
+    assert all(a[1] == b[1] for a, b in zip(first[::2], first[1::2], strict=True)), "two lanes along the tank"
+    assert all(a[0] == b[0] for a, b in zip(second[::2], second[1::2], strict=True)), "four across it"
+    assert set(third) == set(first)
 
 
 def test_what_swims_is_searched_for_facing_the_middle_of_the_tank() -> None:
