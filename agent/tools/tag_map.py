@@ -241,9 +241,14 @@ def start(
         if poses:
             chain = begun(frames, poses, placed)
             found = bundle(chain.frames, chain.cameras, prior_of(chain), size_m)
-            placed = that_fit(found, tank) | sure
-            again = ((k, camera_pose(frames[k].tags, placed, size_m)) for k in poses)
-            poses = {k: pose for k, pose in again if pose is not None}
+            placed, before = that_fit(found, tank) | sure, placed
+            lost = before.keys() - placed.keys()
+            for k in sorted(poses):
+                pose = camera_pose(frames[k].tags, placed, size_m)
+                if pose is not None:
+                    poses[k] = pose
+                elif any(tag.id in lost for tag in frames[k].tags):
+                    del poses[k]
         most *= GROWN
     extend(poses, placed, frames, len(frames), size_m, tank)
     chain = begun(frames, poses, placed)
@@ -264,17 +269,24 @@ def extend(
     tank: Tank,
 ) -> None:
     """Give poses to more pictures, up to `most`, and places to their tags; those with the most placed tags first."""
-    waiting = {k: frame for k, frame in enumerate(frames) if k not in poses}
+
+    def place_tags_of(k: int) -> None:
+        for tag in frames[k].tags:
+            if tag.id not in placed and (found := placed_by(tag, poses[k], size_m, tank)) is not None:
+                placed[tag.id] = found
+
+    for k in poses:  # they may be better than they were
+        place_tags_of(k)
+    waiting = set(range(len(frames))) - poses.keys()
     while len(poses) < most:
-        order = sorted(waiting, key=lambda k: -sum(tag.id in placed for tag in waiting[k].tags))
-        each = ((k, camera_pose(waiting[k].tags, placed, size_m)) for k in order)
+        order = sorted(waiting, key=lambda k: (-sum(tag.id in placed for tag in frames[k].tags), k))
+        each = ((k, camera_pose(frames[k].tags, placed, size_m)) for k in order)
         k, pose = next((one for one in each if one[1] is not None), (0, None))
         if pose is None:
             return
+        waiting.remove(k)
         poses[k] = pose
-        for tag in waiting.pop(k).tags:
-            if tag.id not in placed and (found := placed_by(tag, pose, size_m, tank)) is not None:
-                placed[tag.id] = found
+        place_tags_of(k)
 
 
 def begun(frames: Sequence[SurveyFrame], poses: dict[int, Pose], placed: dict[int, Tag]) -> Start:
