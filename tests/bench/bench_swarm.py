@@ -103,7 +103,7 @@ CLAIM = claim_of_medians(
         Figure("line.all_s", f"in virtual time: until all of {SPREAD['line']} know a sample of all", "s", most=10.0),
         Figure("ring.all_s", f"the same of {SPREAD['ring']}", "s", most=3.0),
         Figure("thousand.all_s", f"the same of {SPREAD['thousand']}", "s", most=4.0),
-        Figure("line.bound", f"error of {SPREAD['line']} after 10 s, times that of whoever knows all by then"),
+        Figure("line.bound", f"error of {SPREAD['line']} after 10 s, times that of a robot that knows all by then"),
         Figure("ring.bound", f"the same of {SPREAD['ring']}"),
         *(
             figure
