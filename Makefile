@@ -8,8 +8,7 @@ export PYTHONDONTWRITEBYTECODE :=
 .PHONY: venv run test linked collected suite firmware docs outside fuzz lint format clean
 
 venv: .venv/ready
-run: .venv/ready
-	$(BIN)/python -m hw.compiled
+run: linked
 	$(BIN)/aucamp demo --speed max
 
 # One worker has tests/network, which mostly wait (tests/conftest.py): there is time for lint beside it.
@@ -17,7 +16,7 @@ test: .venv/ready-test
 	$(MAKE) --no-print-directory --jobs 2 linked collected
 	$(MAKE) --no-print-directory --jobs 2 lint suite
 
-linked: .venv/ready-test
+linked: .venv/ready
 	$(BIN)/python -m hw.compiled
 
 # Byte code of all tests, which else each worker makes for itself. What cannot be collected is told by the suite.

@@ -234,75 +234,82 @@ def start(
     frames: Sequence[SurveyFrame], known: Sequence[Tag], size_m: float, tank: Tank, prior_of: Callable[[Start], Prior]
 ) -> Start:
     """Raises ConfigError where no picture shows a tag of known place with another tag."""
-    sure = {tag.id: tag for tag in known}
-    placed, poses, most = dict(sure), dict[int, Pose](), 2.0
-    while most < GROWN * len(frames) and any(tag.id not in sure for frame in frames for tag in frame.tags):
-        extend(poses, placed, frames, round(most), size_m, tank)
-        if poses:
-            chain = begun(frames, poses, placed)
-            found = bundle(chain.frames, chain.cameras, prior_of(chain), size_m)
-            placed, before = that_fit(found, tank) | sure, placed
-            lost = before.keys() - placed.keys()
-            for k in sorted(poses):
-                pose = camera_pose(frames[k].tags, placed, size_m)
-                if pose is not None:
-                    poses[k] = pose
-                elif any(tag.id in lost for tag in frames[k].tags):
-                    del poses[k]
+    chain, most = Chain(frames, known, size_m, tank), 2.0
+    while most < GROWN * len(frames) and any(tag.id not in chain.sure for frame in frames for tag in frame.tags):
+        chain.grow(round(most))
+        if chain.poses:
+            here = chain.here()
+            chain.adjusted(bundle(here.frames, here.cameras, prior_of(here), size_m))
         most *= GROWN
-    extend(poses, placed, frames, len(frames), size_m, tank)
-    chain = begun(frames, poses, placed)
-    if len(chain.faces) < 2:
+    chain.grow(len(frames))
+    here = chain.here()
+    if len(here.faces) < 2:
         names = ", ".join(str(tag.id) for tag in known)
         raise ConfigError(
             f"no picture shows a tag of known place ({names}) whole beside another; film slowly along them"
         )
-    return chain
+    return here
 
 
-def extend(
-    poses: dict[int, Pose],
-    placed: dict[int, Tag],
-    frames: Sequence[SurveyFrame],
-    most: int,
-    size_m: float,
-    tank: Tank,
-) -> None:
-    """Give poses to more pictures, up to `most`, and places to their tags; those with the most placed tags first."""
+class Chain:
+    """Which pictures have a pose and which tags a place, as one leads to the other."""
 
-    def place_tags_of(k: int) -> None:
-        for tag in frames[k].tags:
-            if tag.id not in placed and (found := placed_by(tag, poses[k], size_m, tank)) is not None:
-                placed[tag.id] = found
+    def __init__(self, frames: Sequence[SurveyFrame], known: Sequence[Tag], size_m: float, tank: Tank) -> None:
+        self._frames, self._size_m, self._tank = frames, size_m, tank
+        self.sure = {tag.id: tag for tag in known}
+        self._placed = dict(self.sure)
+        self.poses: dict[int, Pose] = {}  # by number of the picture
 
-    for k in poses:  # they may be better than they were
-        place_tags_of(k)
-    waiting = set(range(len(frames))) - poses.keys()
-    while len(poses) < most:
-        order = sorted(waiting, key=lambda k: (-sum(tag.id in placed for tag in frames[k].tags), k))
-        each = ((k, camera_pose(frames[k].tags, placed, size_m)) for k in order)
-        k, pose = next((one for one in each if one[1] is not None), (0, None))
-        if pose is None:
-            return
-        waiting.remove(k)
-        poses[k] = pose
-        place_tags_of(k)
+    def grow(self, most: int) -> None:
+        """Give `most` pictures a pose, and their tags a place; those first that show the most placed tags."""
+        for k in self.poses:  # they may be better than they were
+            self._place_tags_of(k)
+        waiting = set(range(len(self._frames))) - self.poses.keys()
+        while len(self.poses) < most:
+            order = sorted(waiting, key=lambda k: (-sum(tag.id in self._placed for tag in self._frames[k].tags), k))
+            each = ((k, self._pose_of(k)) for k in order)
+            k, pose = next((one for one in each if one[1] is not None), (0, None))
+            if pose is None:
+                return
+            waiting.remove(k)
+            self.poses[k] = pose
+            self._place_tags_of(k)
 
+    def adjusted(self, found: Bundle) -> None:
+        """Take over the tags that fit; what hung on others loses its place."""
+        before, self._placed = self._placed, that_fit(found, self._tank) | self.sure
+        lost = before.keys() - self._placed.keys()
+        for k in sorted(self.poses):
+            pose = self._pose_of(k)
+            if pose is not None:
+                self.poses[k] = pose
+            elif any(tag.id in lost for tag in self._frames[k].tags):
+                del self.poses[k]
 
-def begun(frames: Sequence[SurveyFrame], poses: dict[int, Pose], placed: dict[int, Tag]) -> Start:
-    """The pictures that have a pose, with the tags that they show and that have a place."""
-    seen = {tag.id for frame in frames for tag in frame.tags}
-    used = sorted(poses)
-    shown = tuple(sorted(placed.keys() & {tag.id for k in used for tag in frames[k].tags}))
-    faces = tuple(placed[one] for one in shown)
-    rotation = np.array([np.column_stack([*axes(tag), np.cross(*axes(tag))]) for tag in faces])
-    return Start(
-        tuple(frames[k] for k in used),
-        Cameras(*(np.array([poses[k][part] for k in used]) for part in (0, 1))),
-        Tags(shown, np.array([tag.position_m for tag in faces]), rotation),
-        faces,
-        tuple(sorted(seen - set(shown))),
-    )
+    def here(self) -> Start:
+        """The pictures that have a pose, with the tags that they show and that have a place."""
+        seen = {tag.id for frame in self._frames for tag in frame.tags}
+        used = sorted(self.poses)
+        shown = tuple(sorted(self._placed.keys() & {tag.id for k in used for tag in self._frames[k].tags}))
+        faces = tuple(self._placed[one] for one in shown)
+        rotation = np.array([np.column_stack([*axes(tag), np.cross(*axes(tag))]) for tag in faces])
+        return Start(
+            tuple(self._frames[k] for k in used),
+            Cameras(*(np.array([self.poses[k][part] for k in used]) for part in (0, 1))),
+            Tags(shown, np.array([tag.position_m for tag in faces]), rotation),
+            faces,
+            tuple(sorted(seen - set(shown))),
+        )
+
+    def _pose_of(self, k: int) -> Pose | None:
+        return camera_pose(self._frames[k].tags, self._placed, self._size_m)
+
+    def _place_tags_of(self, k: int) -> None:
+        for tag in self._frames[k].tags:
+            if tag.id not in self._placed:
+                found = placed_by(tag, self.poses[k], self._size_m, self._tank)
+                if found is not None:
+                    self._placed[tag.id] = found
 
 
 def that_fit(found: Bundle, tank: Tank) -> dict[int, Tag]:

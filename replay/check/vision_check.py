@@ -46,12 +46,10 @@ from replay.files.log import info, parts, read
 # what the kernel decides, in units of its own standard deviation:
 #
 # * rms of the shifts of peaks and places: SHARE_RMS. An independent error of half a sigma makes a sigma 12 % larger;
-# that
-#   is as far as the kernel's sigmas are off themselves (`aucamp experiment consistency`: normalised error squared 3.79
-#   instead of 3 beyond 0.9 m).
+#   that is as far as the kernel's sigmas are off themselves (`aucamp experiment consistency`: normalised error squared
+#   3.79 instead of 3 beyond 0.9 m).
 # * each of them: SHARE_WORST, four times as much, which errors of that rms exceed once in 16,000 sweeps. What lies
-# beyond
-#   is not what compression does.
+#   beyond is not what compression does.
 # * the mean shift of all outlines, which chance does not move: OUTLINE_PX, two standard deviations of what the kernel
 #   takes for the noise of a centre and the bias of an edge.
 #

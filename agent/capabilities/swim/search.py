@@ -178,7 +178,7 @@ class Hunt(NamedTuple):
     way: tuple[Planar, ...] = ()  # ends of lanes, in the order in which they are swum
     next: int = 0
     split: int = 0  # among how many the tank was divided
-    rounds: int = 0  # of its part that it has been through
+    crosswise: bool = False  # the lanes of every second round
     waits_m: Planar | None = None  # where it stopped, to look or to measure
     seen_ns: int | None = None  # when the target was last in view
     done: bool = False
@@ -221,7 +221,7 @@ def _next(what: Search, hunt: Hunt, here: Planar, around: Surroundings) -> Hunt:
     if hunt.next < len(hunt.way) and hunt.split == split:
         return hunt
     if hunt.way and hunt.next == len(hunt.way):  # all seen, and nothing found: now from other sides
-        hunt = hunt._replace(rounds=hunt.rounds + 1)
+        hunt = hunt._replace(crosswise=not hunt.crosswise)
     part = cell(here, around.fellows_m, around.tank_m)
-    ways = lanes(part, what.lane_m, here, crosswise=hunt.rounds % 2 == 1)
+    ways = lanes(part, what.lane_m, here, crosswise=hunt.crosswise)
     return hunt._replace(way=ways or (within_walls(here, around.tank_m),), next=0, split=split)

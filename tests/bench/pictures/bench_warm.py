@@ -21,6 +21,7 @@ WARM_BALLS = ("red", "orange", "yellow")
 INNER = 0.85  # of the radius: the rim is mixed with the water
 MOST = 0.5  # of a ball's warm pixels
 NETWORK = ("own", "real")
+LEAST = 80.0  # %, of the network
 WAYS = {
     "raw": "the picture as it is",
     "classic": "white balance and CLAHE",
@@ -74,12 +75,9 @@ CLAIM = Claim(
     cases=tuple(WAYS),
     measured_on="real pictures",
     figures=tuple(
-        Figure(f"{way}_{key}", f"{words}: {what}", "%", least=least if way in NETWORK else None)
+        Figure(f"{way}_{key}", f"{words}: {what}", "%", least=LEAST if way in NETWORK else None)
         for way, words in WAYS.items()
-        for key, what, least in (
-            ("pixels", "warm pixels that stay warm", 80.0),
-            ("balls", "balls of which half of them do", 80.0),
-        )
+        for key, what in (("pixels", "warm pixels that stay warm"), ("balls", "balls of which half of them do"))
     ),
     exact=True,
     explanation="""Marked red, orange and yellow balls in real pictures of pools. A pixel of a ball counts that is warm
