@@ -221,7 +221,7 @@ def as_sure(peaks: GridPeaks, scale: float | None, area_px: float) -> GridPeaks:
 
 CELL_PX = 5  # of a cell's side, at least: a gradient is taken over 3
 UNEVEN = 0.1  # of the peak's half width: how far from a plane, or from its cells, a part's depth may be
-AWAY = 0.25  # the same, of a part's depth from its block's
+AWAY = 0.15  # the same, of a part's depth from its block's
 STEP_SHARE = 0.4  # of the step between lens positions: no limit is less
 KNOWN = 0.6  # of the cells in and around a part that have a peak, or nothing is known of its surroundings
 BENT = 0.1  # of what the plane spans, by which a slope may be curved; a step is 0.2 and more off its plane

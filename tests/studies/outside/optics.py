@@ -35,7 +35,7 @@ AXES = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])  # camera
 
 def judge(quick: bool) -> list[Finding]:
     """All comparisons; quick: fewer views and fewer rays of each. Raises ImportError without Mitsuba."""
-    return [finding for part in (edges, outlines, attenuation, backscatter, peaks) for finding in part(quick)]
+    return [finding for part in (edges, outlines, attenuation, scenes, backscatter, peaks) for finding in part(quick)]
 
 
 def _found(quantity: str, twin: float, other: float, unit: str, allowed: float, absolute: bool = False) -> Finding:
@@ -258,6 +258,50 @@ def attenuation(quick: bool) -> Iterator[Finding]:
         for ray in RAYS[1:2] if quick else RAYS:
             twin, other = (_radiance(((0.55, 0.37, 0.9), NEXT_TO_NONE), range_m, WALL, ray, samples) / unit)[:, 1]
             yield _found(f"wall {range_m} m away, pixel {ray}, absorption 0.37 per m", twin, other, "", 0.05)
+
+
+# A wall, the floor, a ball and a stone, and the ball's shadow on the wall. What they throw on each other is left out by
+# the twin: of dark things it is little, of light ones it is not.
+DARK, LIGHT = 0.05, 0.4
+BACK_M, BELOW_M = 1.2, 0.15  # from the lens to the wall, and down to the floor
+BALL, STONE = ((-0.02, -0.03, 0.8), 0.04), ((0.16, 0.09, 0.9), 0.06)  # place and radius, m
+SEEN: dict[str, tuple[int, int]] = {  # px, the middle of a window
+    "ball": (290, 195),
+    "limb of a ball": (330, 195),
+    "stone": (536, 360),
+    "wall": (120, 120),
+    "floor": (320, 440),
+    "edge of a shadow": (411, 195),
+}
+
+
+def scenes(quick: bool) -> Iterator[Finding]:
+    """Light of a lamp beside the camera that things in clear water send back, and the shadow of one: middle colour."""
+    samples = 64 if quick else 1024
+    for name in SEEN:
+        yield _found(f"{name}, albedo {DARK}, in clear water", *_scene(name, DARK, samples), "", 0.05)
+    for name in () if quick else ("floor", "edge of a shadow"):
+        yield _found(f"{name}, albedo {LIGHT}, in clear water", *_scene(name, LIGHT, samples), "", 0.05)
+
+
+def _scene(name: str, albedo: float, samples: int) -> tuple[float, float]:
+    """Radiance of what is seen, by twin and Mitsuba."""
+    lens = camera_lens()
+    image_m = focused_m(lens, apparent(lens, BALL[0][2]))
+    at = Eye((TANK.size_m[0] - BACK_M, ACROSS_M, BELOW_M), AXES)
+    ball, stone = (Solid(kind="ball", position_m=placed(at, m), radii_m=(r, r, r)) for m, r in (BALL, STONE))
+    water = SceneWater(absorption_per_m=NEXT_TO_NONE, scattering_per_m=NEXT_TO_NONE)
+    painter = even(in_twin(lens, Scene(name="dark", water=water, room_light=0.0, solid=(ball, stone))), albedo)
+    beam = LampBeam(placed(at, LAMP_M), AXES[:, 2], 1.0)
+    twin = painter.light(Moment(at, solids=(ball, stone), lamps=(beam,)), image_m, window(SEEN[name]))
+
+    things = outside.wall(BACK_M, albedo) | outside.floor(BELOW_M, BACK_M, albedo)
+    things |= outside.round_thing("ball", *BALL, albedo) | outside.round_thing("stone", *STONE, albedo)
+    things |= outside.lamp(outside.Lamp(LAMP_M, veil.INTENSITY_W_SR, veil.HALF_RAD))
+    other = outside.render(in_mitsuba(lens, image_m), things, window(SEEN[name]), samples)
+    units = _reference(samples)[:, 1]
+    shown, judged = (float(np.mean(each[..., 1])) / unit for each, unit in zip((twin, other), units, strict=True))
+    return shown, judged
 
 
 def backscatter(quick: bool) -> Iterator[Finding]:

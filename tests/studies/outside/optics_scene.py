@@ -1,4 +1,4 @@
-"""The twin's scene as a Mitsuba scene: thin lens in air, flat port, water, lamp, wall and ball.
+"""The twin's scene as a Mitsuba scene: thin lens in air, flat port, water, lamp, wall, floor and balls.
 
 Written from physics and from settings (focal length, aperture, index, coefficients of the water). Nothing here calls
 the twin's optics, or it would judge nothing. Frame: origin in the lens, x right, y down, z along the axis, metres.
@@ -162,8 +162,24 @@ def _phase_table(index: float, slope: float) -> tuple[NDArray[np.float64], float
 
 def wall(range_m: float, albedo: float) -> dict[str, Any]:
     """A white diffuse plane across the axis."""
-    reflects = {"type": "diffuse", "reflectance": {"type": "rgb", "value": albedo}}
-    return {"wall": {"type": "rectangle", "to_world": _facing(0, 0, range_m, 2.0, 2.0), "bsdf": reflects}}
+    place = _facing(0, 0, range_m, 2.0, 2.0)
+    return {"wall": {"type": "rectangle", "to_world": place, "bsdf": _diffuse(albedo)}}
+
+
+def floor(below_m: float, range_m: float, albedo: float) -> dict[str, Any]:
+    """A white diffuse plane below the axis, from a tenth of range_m behind the port to beyond range_m."""
+    place = mitsuba().ScalarTransform4f().translate([0, below_m, 0.6 * range_m]).rotate([1, 0, 0], 90)
+    flat = place.scale([2.0, 0.5 * range_m, 1])
+    return {"floor": {"type": "rectangle", "to_world": flat, "bsdf": _diffuse(albedo)}}
+
+
+def round_thing(name: str, place_m: Place, radius_m: float, albedo: float) -> dict[str, Any]:
+    """A white diffuse ball."""
+    return {name: {"type": "sphere", "center": list(place_m), "radius": radius_m, "bsdf": _diffuse(albedo)}}
+
+
+def _diffuse(albedo: float) -> dict[str, Any]:
+    return {"type": "diffuse", "reflectance": {"type": "rgb", "value": albedo}}
 
 
 def shining(range_m: float, half_m: float, radiance: NDArray[np.float64]) -> dict[str, Any]:

@@ -49,7 +49,7 @@ def test_cases_of_one_quantity_are_one_row_and_each_that_fails_is_its_own():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("part", [optics.edges, optics.attenuation])
+@pytest.mark.parametrize("part", [optics.edges, optics.attenuation, optics.scenes])
 def test_mitsuba_sees_what_the_twin_sees(part):
     pytest.importorskip("mitsuba", reason="no Mitsuba here: pip install mitsuba")
     found = list(part(True))
