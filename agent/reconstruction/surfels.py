@@ -1,4 +1,5 @@
-"""The image model as surfels: discs on the surface, their colours and the water fitted to pictures, without torch.
+"""The image model as surfels: discs on the surface, without torch. Pictures tell their colours, the water, and how each
+picture was exposed.
 
 Discs are drawn as elliptical Gaussians (EWA splatting, Zwicker et al. 2001), nearest first. A disc's Gaussian of
 standard deviation r in its plane is one in the picture, of covariance r^2 J (1 - n n') J' + what a pixel is wide; J is
@@ -238,6 +239,7 @@ TONE_HUBER = 0.1
 COLOUR_RATE, WATER_RATE, LAST_RATE = 0.03, 5e-3, 0.1
 MOMENTS = (0.9, 0.99)
 EVERYTHING = slice(None)
+BURNT_OUT = 0.95  # of the sensor's limit: such light says nothing of a gain
 START_WATER = (0.10, 0.15, 0.05)  # b_D, b_B [1/m], B_inf
 
 
@@ -249,14 +251,24 @@ class Surfels:
     colour: Floats  # (n, 3) linear light, red green blue, as without water; NaN: no picture showed it
     water: Floats  # (3, 3) rows b_D, b_B, B_inf; columns red green blue
     pieces: Floats  # of `pieces_of`
+    gain: Floats  # (k, 3) of each picture: what its camera made of the light, by exposure and white balance
+    taken: Floats  # (k, 6) of each, `stand`
+
+
+def stand(view: View) -> Floats:
+    """(6,) where a camera is, and what is a metre ahead of it."""
+    return np.concatenate([view.position_m, view.position_m + view.rotation[:, 2]])
 
 
 def picture(surfels: Surfels, view: View) -> tuple[Floats, Floats]:
-    """Linear light (height, width, 3) and depth (height, width) from a view's pose by its camera; NaN in holes."""
+    """Linear light (height, width, 3) and depth (height, width) from a view's pose by its camera; NaN in holes.
+
+    Its exposure is that of the picture which was taken nearest to it.
+    """
     drawn = splats(surfels.cloud, view, surfels.pieces)
-    return _seen(
-        blended(drawn, np.nan_to_num(surfels.colour[drawn.numbers])), _range(view, drawn), surfels.water
-    ), drawn.depth_m
+    light = _seen(blended(drawn, np.nan_to_num(surfels.colour[drawn.numbers])), _range(view, drawn), surfels.water)
+    nearest = np.argmin(np.linalg.norm(surfels.taken - stand(view), axis=1))
+    return light * surfels.gain[nearest], drawn.depth_m
 
 
 def fit(cloud: Cloud, views: Sequence[View], epochs: int, done: Callable[[int, int], None]) -> Surfels:
@@ -275,17 +287,22 @@ def fit(cloud: Cloud, views: Sequence[View], epochs: int, done: Callable[[int, i
     with np.errstate(invalid="ignore", divide="ignore"):
         colour = np.where(shares[:, None] > 0.0, np.maximum(sums / shares[:, None], 0.0), 0.0)
     water = np.repeat(np.array(START_WATER)[:, None], 3, axis=1)
-    of_colour, of_water = _Moments(colour), _Moments(water)
+    of_colour, of_water, gain = _Moments(colour), _Moments(water), np.ones((len(views), 3))
     for n in range(epochs * len(views)):
         if n % len(views) == 0:
             turn = order.permutation(len(views))
+            # Brighter things and lower gains make the same pictures: the gains' mean is 1.
+            mean = np.exp(np.log(gain).mean(axis=0))
+            gain, colour, water = gain / mean, colour * mean, water * np.stack([np.ones(3), np.ones(3), mean])
         fade = LAST_RATE ** (n / (epochs * len(views)))
-        view = views[turn[n % len(views)]]
-        here, down_colour, down_water = _gradients(splats(cloud, view, pieces), view, colour, water)
+        k = turn[n % len(views)]
+        drawn = splats(cloud, views[k], pieces)
+        here, down_colour, down_water, gain[k] = _gradients(drawn, views[k], colour, water)
         colour[here] = np.maximum(colour[here] - fade * COLOUR_RATE * of_colour.step(down_colour, here), 0.0)
         water = np.maximum(water - fade * WATER_RATE * of_water.step(down_water, EVERYTHING), 0.0)
         done(len(views) + n + 1, total)
-    return Surfels(cloud, np.where(shares[:, None] > 0.0, colour, np.nan), water, pieces)
+    taken = np.array([stand(view) for view in views])
+    return Surfels(cloud, np.where(shares[:, None] > 0.0, colour, np.nan), water, pieces, gain, taken)
 
 
 class _Moments:
@@ -304,14 +321,19 @@ class _Moments:
         return np.asarray(first / bias[0] / (np.sqrt(second / bias[1]) + 1e-12))
 
 
-def _gradients(drawn: Splats, view: View, colour: Floats, water: Floats) -> tuple[NDArray[np.int64], Floats, Floats]:
-    """Which discs (m,) one picture shows, and its loss's gradient by their colours (m, 3) and by the water (3, 3)."""
+def _gradients(
+    drawn: Splats, view: View, colour: Floats, water: Floats
+) -> tuple[NDArray[np.int64], Floats, Floats, Floats]:
+    """Which discs (m,) one picture shows, its loss's gradient by their colours (m, 3) and by the water (3, 3), and the
+    picture's gain (3,), the best for these."""
     t, here = _range(view, drawn), blended(drawn, colour[drawn.numbers])
     light = _seen(here, t, water)
     good = np.isfinite(light)
-    shown = np.maximum(np.where(good, light, 0.5), 0.0)
-    off = (shown + DARKEST) ** GAMMA - (np.maximum(view.picture, 0.0) + DARKEST) ** GAMMA
-    down = np.clip(off, -TONE_HUBER, TONE_HUBER) * GAMMA * (shown + DARKEST) ** (GAMMA - 1.0) * good
+    light = np.maximum(np.where(good, light, 0.5), 0.0)
+    gain = _gain(light, view.picture, good)
+    shown = light * gain
+    off = _tone(shown) - _tone(view.picture)
+    down = np.clip(off, -TONE_HUBER, TONE_HUBER) * GAMMA * (shown + DARKEST) ** (GAMMA - 1.0) * good * gain
     t = np.nan_to_num(t)[..., None]
     arrives, cleared = np.exp(-water[0] * t), np.exp(-water[1] * t)
     back, shares = gathered(drawn, down * arrives)
@@ -319,7 +341,19 @@ def _gradients(drawn: Splats, view: View, colour: Floats, water: Floats) -> tupl
     by_scatter = (down * water[2] * cleared * t).sum(axis=(0, 1))
     by_veil = (down * (1.0 - cleared)).sum(axis=(0, 1))
     seen = shares > 0.0
-    return drawn.numbers[seen], back[seen], np.stack([by_direct, by_scatter, by_veil])
+    return drawn.numbers[seen], back[seen], np.stack([by_direct, by_scatter, by_veil]), gain
+
+
+def _gain(light: Floats, picture: NDArray[np.float32], good: NDArray[np.bool_]) -> Floats:
+    """(3,) by which light (height, width, 3) comes nearest to a picture of it, in tones, where it is good."""
+    counts = good & (picture < BURNT_OUT)
+    a, b = (np.where(counts, _tone(each), 0.0) for each in (light, picture))
+    both, own = (a * b).sum(axis=(0, 1)), (a * a).sum(axis=(0, 1))
+    return np.where(both > 0.0, both / np.maximum(own, 1e-12), 1.0) ** (1.0 / GAMMA)
+
+
+def _tone(light: Floats | NDArray[np.float32]) -> Floats:
+    return np.asarray((np.maximum(light, 0.0) + DARKEST) ** GAMMA, float)
 
 
 def _range(view: View, drawn: Splats) -> Floats:

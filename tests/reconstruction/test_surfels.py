@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -64,3 +66,16 @@ def test_colours_come_from_pictures(cloud: Cloud) -> None:
     error = (light ** (1 / 2.2) - look(new)[0] ** (1 / 2.2))[15:-15, 15:-15]
     assert -10 * np.log10(np.nanmean(error**2)) > 35.0
     assert counts[-1] == (18, 18)
+
+
+def test_a_picture_is_exposed_as_the_one_taken_nearest_to_it(cloud: Cloud) -> None:
+    """A third stop more or less, and another white balance, from picture to picture: as cameras set them."""
+    views = some_views()
+    gains = 0.9 * np.geomspace(0.8, 1.0, len(views))[:, None] * np.array([1.1, 1.0, 0.9])
+    taken = [replace(view, picture=np.float32(view.picture * gain)) for view, gain in zip(views, gains, strict=True)]
+    found = fit(cloud, taken, 4, lambda *_: None)
+    assert found.gain / found.gain.mean(axis=0) == pytest.approx(gains / gains.mean(axis=0), rel=0.02)
+    for k in (0, len(views) - 1):
+        step = np.array([1e-3, 0.0, 0.0])
+        light, _ = picture(found, replace(taken[k], position_m=taken[k].position_m + step))
+        assert np.nanmedian(light / taken[k].picture, axis=(0, 1)) == pytest.approx(1.0, abs=0.03)
