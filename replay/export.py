@@ -23,10 +23,11 @@ from agent.core.codec import decode
 from agent.core.config import ConfigError, writing
 from agent.core.robot_view import along_axes, robot_view
 from agent.core.step_io import Inputs
-from replay.check.reexecute import STEP_BYTES, BlackBox, black_boxes, recordings
+from replay.check.reexecute import STEP_BYTES, BlackBox
 from replay.files.info import suspecting
 from replay.files.mcap_file import parts
 from replay.files.mcap_walk import Channel, Message, Schema, Tear, records
+from replay.files.recover import black_boxes, recordings
 from replay.report.timeline import RobotTimeline, Run, open_run
 from replay.viewers.viewer_channels import sighting_row, telemetry_row
 

@@ -25,7 +25,8 @@ from agent.core.capability_messages import Claim
 from agent.core.config import Fleet
 from agent.core.messages import State, Vector
 from agent.core.status import UNRECORDED, fault_kind
-from replay.check.reexecute import black_boxes, open_boxes
+from replay.check.reexecute import open_boxes
+from replay.files.recover import black_boxes
 from replay.report.creature_track import PATHS, SETTLES_NS, CreatureTrack, creature_track, errors, true_ways
 
 # --- how far a survey has come ---

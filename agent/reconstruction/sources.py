@@ -11,6 +11,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -60,17 +61,19 @@ def recorded_views(paths: Sequence[Path], progress: Progress) -> Recorded:
     Raises ConfigError where there is none, or one is damaged.
     """
     boxes = open_boxes(paths)
-    views: list[View] = []
-    passed_over: dict[str, int] = {}
+    views: dict[tuple[str, str, int], View] = {}
+    passed_over: Counter[str] = Counter()
     for done, box in enumerate(boxes):
         progress(done, len(boxes))
         for found in _views_of(box):
             if isinstance(found, str):
-                passed_over[found] = passed_over.get(found, 0) + 1
+                passed_over[found] += 1
+            elif found.key in views:
+                passed_over["given twice"] += 1
             else:
-                views.append(found)
+                views[found.key] = found
     progress(len(boxes), len(boxes))
-    return Recorded(views, passed_over)
+    return Recorded(list(views.values()), dict(passed_over))
 
 
 def _views_of(box: BlackBox) -> Iterator[View | str]:

@@ -30,7 +30,8 @@ from agent.robot.fleet_reader import broken_landmark_rules, load_fleet
 from agent.tools.enhance import pictures
 from agent.tools.tag_bundle import CORNERS, HUBER, Bundle, Cameras, Prior, SurveyFrame, Tags, bundle, turned_by
 from agent.tools.tags import check_size
-from replay.check.reexecute import STEP_BYTES, BlackBox, black_boxes, open_boxes
+from replay.check.reexecute import STEP_BYTES, BlackBox, open_boxes
+from replay.files.recover import black_boxes
 
 # --- the result ---
 # What a survey of tags found: the table for people, and the table [landmarks] for robots, in a file of its own.

@@ -7,7 +7,6 @@ TOLERANCE, and the verdict says so.
 
 from __future__ import annotations
 
-import re
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from hashlib import sha256
@@ -30,8 +29,8 @@ from replay.check.compare import ABSENT, Difference, Ignored, differences, must_
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.info import damages, suspecting
 from replay.files.log import info, parts, read
-from replay.files.mcap_file import environment, standing
-from replay.files.mcap_walk import run_note
+from replay.files.mcap_file import environment
+from replay.files.recover import black_boxes, recordings
 
 # --- the black box as arguments ---
 # A robot's recording as the argument list it is: what `Agent.step` was called with, and what it answered.
@@ -103,27 +102,6 @@ def open_boxes(paths: Iterable[Path]) -> list[BlackBox]:
             raise ConfigError(f"{path}: has {has} in it; {NEEDED}, or the folder of a run with some")
         found += [open_box(file) for file in files]
     return sorted(found, key=lambda box: (str(box.path.parent), box.robot, box.incarnation))
-
-
-def black_boxes(folder: Path) -> list[Path]:
-    """The black boxes in a folder by their first part, whether finished, mended or torn."""
-    return recordings(folder, "black box")
-
-
-def recordings(folder: Path, kind: str) -> list[Path]:
-    """The recordings of a kind in a folder, "black box" or "fleet", as `black_boxes` does."""
-    ending = re.compile(r"(\.part\d{3,})?(\.recovered)?\.mcap(\.active)?$")
-    firsts = {folder / ending.sub(".mcap", file.name) for file in folder.iterdir() if ending.search(file.name)}
-    there = [first for first in firsts if standing(first) is not None]
-    return sorted(first for first in there if _kind(parts(first)[0]) == kind)
-
-
-def _kind(file: Path) -> str | None:
-    """What the header of a file says. Raises ConfigError for a finished file that has lost it: it may be any."""
-    run, sound = run_note(file)
-    if not run and not sound and file.suffix == ".mcap":
-        raise ConfigError(f"{file}: damaged: its header cannot be read; move it away to do without it")
-    return run.get("kind")
 
 
 def open_box(path: Path) -> BlackBox:

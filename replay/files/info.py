@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import traceback
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from itertools import count
@@ -245,9 +246,11 @@ def ending(about: Info) -> str:
 
 
 def damages(found: Sequence[Damage]) -> str:
-    """The first three of them in words."""
-    more = f"; and {len(found) - 3} more" if len(found) > 3 else ""
-    return "; ".join(each.what for each in found[:3]) + more
+    """The first three kinds of them in words, and how often each."""
+    counts = Counter(each.what for each in found)
+    said = [what if times == 1 else f"{what} ({times} times)" for what, times in counts.items()]
+    more = f"; and {len(said) - 3} more" if len(said) > 3 else ""
+    return "; ".join(said[:3]) + more
 
 
 def _lines(about: Info) -> Iterator[str]:

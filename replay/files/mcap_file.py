@@ -127,11 +127,12 @@ def is_held(path: Path) -> bool:
 
 
 # --- names of files ---
-# What the files of a recording are called.
+# What the files of a recording are called:
 #
-# r1.mcap, r1.part002.mcap ...   a recording and its later parts r1.2.mcap                      the same robot started
-# again in the same folder r1.mcap.active                 being written, or its writer was killed r1.recovered.mcap
-# the mended copy of a torn file
+# * r1.mcap, r1.part002.mcap and so on: a recording and its later parts
+# * r1.2.mcap: the same robot, started again in the same folder
+# * r1.mcap.active: being written, or its writer was killed
+# * r1.recovered.mcap: the mended copy of a torn file, which takes its place
 
 SUFFIX = ".active"
 
@@ -163,12 +164,13 @@ def unused(path: Path) -> Path:
 def parts(path: Path) -> list[Path]:
     """The files of the recording that begins with `path`, in order. A later part, asked for by name, comes alone.
 
-    Of a part that was not finished the mended copy is taken, or else the torn file itself.
+    Of a part that was torn the mended copy is taken, or else the torn file itself.
     """
     if re.search(r"\.part\d{3,}$|\.recovered$", _stem(path)):
         return [path]
     first = path.with_name(_stem(path) + ".mcap")
-    found, number = [path if path.exists() else standing(first) or path], 2
+    unfinished = path.name.endswith(SUFFIX) and path.exists()
+    found, number = [path if unfinished else standing(first) or path], 2
     while (later := standing(part(first, number))) is not None:
         found.append(later)
         number += 1
@@ -176,8 +178,8 @@ def parts(path: Path) -> list[Path]:
 
 
 def standing(path: Path) -> Path | None:
-    """What there is of `path`: the finished file, its mended copy, or the torn one."""
-    return next((file for file in (path, recovered(path), active(path)) if file.exists()), None)
+    """What there is of `path`: its mended copy, for only what is torn has one, the finished file, or the torn one."""
+    return next((file for file in (recovered(path), path, active(path)) if file.exists()), None)
 
 
 def _stem(path: Path) -> str:

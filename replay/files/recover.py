@@ -27,7 +27,7 @@ from replay.files.channels import CUT, STEP_IN, STEP_OUT, Entry
 from replay.files.channels import Schema as ChannelSchema
 from replay.files.info import Info, damages, info, suspecting
 from replay.files.mcap_file import SUFFIX, Part, active, is_held, parts, recovered, standing
-from replay.files.mcap_walk import DAMAGED, Channel, Damage, Message, Schema, Tear, records
+from replay.files.mcap_walk import DAMAGED, Channel, Damage, Message, Schema, Tear, records, run_note
 
 
 class Recovered(NamedTuple):
@@ -225,11 +225,63 @@ def recover_all(paths: Iterable[Path], force: bool, say: Callable[[str], None]) 
     """`aucamp replay recover`: one line for each file. Exit code 0: each is whole now; 1: in one there was nothing."""
     code = 0
     for path in paths:
+        if (mended := _mended_already(path)) is not None:
+            say(f"{path} -> {recovered(path)}: mended already; {mended}")
+            continue
         with suspecting(path):
             result = recover(path, force)
         say(f"{path}{f' -> {result.out}' if result.out else ''}: {result.summary}")
         code = code if result.messages else 1
     return code
+
+
+def _mended_already(path: Path) -> str | None:
+    """What the mended copy of a file as it is now says; None: there is none."""
+    if not (path.is_file() and recovered(path).is_file()) or recovered(path) == path:
+        return None
+    about = info(recovered(path)).recovered or {}
+    return about.get("summary") if about.get("bytes_read") == str(path.stat().st_size) else None
+
+
+# --- the recordings of a folder ---
+
+
+def black_boxes(folder: Path) -> list[Path]:
+    """The black boxes in a folder by their first part, whether finished, mended or torn; of several of one start of a
+    robot, which are copies, the largest."""
+    return recordings(folder, "black box")
+
+
+def recordings(folder: Path, kind: str) -> list[Path]:
+    """The recordings of a kind in a folder, "black box" or "fleet", as `black_boxes` does."""
+    return sorted(copies[0] for copies in _starts(folder, kind))
+
+
+def _starts(folder: Path, kind: str) -> list[list[Path]]:
+    """Recordings of a kind, those of one start of a robot together, the largest first."""
+    ending = re.compile(r"(\.part\d{3,})?(\.recovered)?\.mcap(\.active)?$")
+    firsts = {folder / ending.sub(".mcap", file.name) for file in folder.iterdir() if ending.search(file.name)}
+    starts: dict[object, list[Path]] = {}
+    for first in sorted(firsts):
+        if standing(first) is None:
+            continue
+        run = _run(parts(first)[0])
+        if run.get("kind") == kind:
+            start = tuple(run.get(name, "") for name in ("fleet", "robot", "incarnation"))
+            starts.setdefault(start if all(start) else first, []).append(first)
+    return [sorted(copies, key=_size, reverse=True) for copies in starts.values()]
+
+
+def _size(first: Path) -> int:
+    return sum(file.stat().st_size for file in parts(first))
+
+
+def _run(file: Path) -> dict[str, str]:
+    """What the header of a file says. Raises ConfigError for a finished file that has lost it: it may be any."""
+    run, is_sound = run_note(file)
+    if not run and not is_sound and file.suffix == ".mcap":
+        raise ConfigError(f"{file}: damaged: its header cannot be read; move it away to do without it")
+    return run
 
 
 # --- unasked ---
@@ -253,8 +305,7 @@ def auto_recovered(paths: Iterable[Path], say: Say) -> list[Path]:
     found = []
     for path in paths:
         if path.is_dir():
-            for file in sorted(path.glob(f"*.mcap{SUFFIX}")):
-                sound(file, say)
+            _mended(path, say)
             found.append(path)
         else:
             first, *later = parts(path)
@@ -262,6 +313,17 @@ def auto_recovered(paths: Iterable[Path], say: Say) -> list[Path]:
                 sound(file, say)
             found.append(sound(first, say))
     return found
+
+
+def _mended(folder: Path, say: Say) -> None:
+    """Mend what is torn in a folder, and say which of its files are not read."""
+    copies = {recovered(file) for file in folder.glob("*.mcap*")}
+    for file in sorted({*folder.glob("*.mcap"), *folder.glob(f"*.mcap{SUFFIX}")} - copies):
+        if sound(file, say) == file and recovered(file).exists():
+            say(f"{recovered(file)} is read in place of {file}, which is whole; move it away")
+    for kept, *others in _starts(folder, "black box"):
+        for other in others:
+            say(f"{other} is of the same start of the same robot as {kept}, which is larger; it is left out")
 
 
 def broken_off(path: Path) -> list[Path]:

@@ -34,15 +34,14 @@ from replay.check.reexecute import (
     STEP_BYTES,
     BlackBox,
     attached_toml,
-    black_boxes,
     head,
     open_boxes,
-    recordings,
     schema_of,
 )
 from replay.files.channels import CLOCK, STEP_OUT, network_topic
 from replay.files.info import Moment, in_dive, moment
 from replay.files.log import parts, read
+from replay.files.recover import black_boxes, recordings
 
 # --- one robot, by its black box ---
 # What a run's black boxes tell, in the shape in which figures need it: series over time, one timeline for each robot

@@ -14,8 +14,8 @@ from agent.core.config import ConfigError
 from replay.files.channels import CUT, STEP_IN, STEP_OUT, Entry
 from replay.files.info import describe, info
 from replay.files.log import LogWriter, Record, read
-from replay.files.mcap_file import Part, active, hold, is_held, recovered
-from replay.files.recover import auto_recovered, recover, recover_all, recovering, sound, torn_files
+from replay.files.mcap_file import Part, active, hold, is_held, parts, recovered
+from replay.files.recover import auto_recovered, black_boxes, recover, recover_all, recovering, sound, torn_files
 from tests.places import GOLDEN, ROOT
 from tests.replay.small_box import STEPS, write_box
 from tests.waiting import until
@@ -254,6 +254,40 @@ def test_who_opens_a_folder_or_a_file_gets_what_is_mended(tmp_path: Path, data: 
     assert recovered(tmp_path / "r2.mcap").exists()
     assert f"{file} was torn, mended as" in lines[0]
     assert any(f"{other} was torn, mended as" in line for line in lines[1:])
+
+
+def test_what_is_torn_under_its_finished_name_is_read_mended(tmp_path: Path, data: bytes) -> None:
+    """A copy that broke off, or a bit that flipped on a disk."""
+    lines: list[str] = []
+    file = auto_recover_torn(tmp_path, data, "r1.mcap")
+    file.rename(tmp_path / "r1.mcap")
+    assert auto_recovered([tmp_path], lines.append) == [tmp_path]
+    assert parts(tmp_path / "r1.mcap") == [recovered(tmp_path / "r1.mcap")]
+    assert f"{tmp_path / 'r1.mcap'} was torn, mended as" in lines[0] and len(lines) == 1
+    assert recover_all([tmp_path / "r1.mcap"], False, lines.append) == 0
+    assert "mended already; " in lines[1]
+
+
+def test_a_stale_mended_copy_beside_a_whole_file_is_told(tmp_path: Path) -> None:
+    recover(torn(tmp_path, write(tmp_path / "x.mcap", steps(3))[:-20]))
+    (tmp_path / "r1.mcap.active").unlink()
+    (tmp_path / "x.mcap").rename(tmp_path / "r1.mcap")
+    lines: list[str] = []
+    auto_recovered([tmp_path], lines.append)
+    assert lines == [
+        f"{tmp_path / 'r1.recovered.mcap'} is read in place of {tmp_path / 'r1.mcap'}, which is whole; move it away"
+    ]
+
+
+def test_of_copies_of_one_start_the_largest_is_read(tmp_path: Path) -> None:
+    start = {"kind": "black box", "fleet": "tank", "robot": "r1", "incarnation": "7"}
+    write(tmp_path / "r1.mcap", steps(40), start)
+    write(tmp_path / "half.mcap", steps(20), start)
+    write(tmp_path / "r1.2.mcap", steps(10), {**start, "incarnation": "8"})
+    assert black_boxes(tmp_path) == [tmp_path / "r1.2.mcap", tmp_path / "r1.mcap"]
+    lines: list[str] = []
+    auto_recovered([tmp_path], lines.append)
+    assert len(lines) == 1 and f"{tmp_path / 'half.mcap'} is of the same start" in lines[0]
 
 
 def test_replay_check_mends_first_and_says_so_where_no_program_reads(tmp_path: Path) -> None:
