@@ -93,6 +93,10 @@ def demo_fleet(
     names = _first(fleet, robots, path)
     _lives_in_the_twin(fleet, names, path)
     _has_its_targets(fleet, path)
+    if fleet.coverage is not None and len(names) == 1:
+        raise ConfigError(
+            f"{path.name}: a survey is judged by what robots tell each other of it, so that it takes two; --robots 2"
+        )
     kept = {
         name: msgspec.structs.replace(
             fleet.robot[name], neighbours=tuple(n for n in fleet.robot[name].neighbours if n in names)

@@ -26,6 +26,7 @@ from agent.ground.check_files import (
     key_findings,
     links,
     loopback_findings,
+    place_findings,
     target_findings,
     tried,
     twin_findings,
@@ -213,6 +214,7 @@ def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
     yield from twin_findings(fleet, path)
     yield from target_findings(fleet)
     yield from unit_findings(fleet)
+    yield from place_findings(fleet)
     yield from enhancement_findings(fleet)
     if fleet.access.keys is None:
         yield Finding("ok", "fleet", "signs nothing: [access] names no keys")

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import errno
 import ipaddress
+import itertools
 import math
 import os
 import resource
@@ -202,6 +203,10 @@ def target_findings(fleet: Fleet) -> Iterator[Finding]:
 # What tanks, targets and tags have; beyond it a number is rarely meant so.
 LONGEST_M, SHORTEST_M = 60.0, 0.2
 RADIUS_M, TAG_M = (0.005, 0.5), (0.01, 1.0)
+SIGMA_M = 0.1  # of what a laboratory has surveyed
+TURN_DEG = 180.0  # of a gimbal, to either side
+BESIDE_M = 0.1  # between the middles of two robots: nearer, one is where the other is
+MIRRORED = frozenset({186, 314, 487, 548})  # tags that read as another in the mirror of the surface
 
 
 def unit_findings(fleet: Fleet) -> Iterator[Finding]:
@@ -219,12 +224,31 @@ def unit_findings(fleet: Fleet) -> Iterator[Finding]:
     for key, (length_m, (least, most)) in sizes.items():
         if not least <= length_m <= most:
             yield Finding("warning", "fleet", f"{key}: {length_m:g} m; {least:g} to {most:g} are usual: write metres")
+    for key in ("level_m", "survey_m", "place_m", "height_m"):
+        if (sigma_m := getattr(fleet.budget, key)) > SIGMA_M:
+            yield Finding("warning", "fleet", f"budget.{key}: off by {sigma_m:g} m, typically? Write metres, not mm")
+    for key in ("pan_limit_deg", "tilt_limit_deg"):
+        if max(map(abs, getattr(fleet.body, key))) > TURN_DEG:
+            yield Finding("warning", "fleet", f"body.{key}: no gimbal turns so far; write degrees from straight ahead")
     yaws = {name: robot.pose.yaw_deg for name, robot in fleet.robot.items() if robot.pose is not None}
     if all(abs(yaw) <= math.tau for yaw in yaws.values()):
         odd = next((name for name, yaw in yaws.items() if yaw != round(yaw)), None)
         if odd is not None:
             text = f"robot.{odd}.pose.yaw_deg: {yaws[odd]:g} degrees; is it in radians? That would be"
             yield Finding("warning", "fleet", f"{text} {math.degrees(yaws[odd]):.1f} degrees: write degrees")
+
+
+def place_findings(fleet: Fleet) -> Iterator[Finding]:
+    """Robots that are in one place, and tags that are better not used."""
+    moored = [(name, robot.pose, robot.depth_m) for name, robot in fleet.robot.items()]
+    for (one, a, a_m), (other, b, b_m) in itertools.combinations(moored, 2):
+        if math.dist((a.x_m, a.y_m, a_m), (b.x_m, b.y_m, b_m)) < BESIDE_M:
+            text = f"{one} and {other} have the same place; correct x_m, y_m or depth_m of one"
+            yield Finding("warning", "fleet", text)
+    used = MIRRORED & {tag.id for tag in fleet.landmarks.tag} if fleet.landmarks is not None else ()
+    if used:
+        text = f"landmarks.tag: ids {', '.join(map(str, sorted(used)))} can read as others in the mirror of the surface"
+        yield Finding("warning", "fleet", f"{text}; put up others")
 
 
 def ball_sample(name: str, target: Target, size: tuple[int, int]) -> str:

@@ -258,6 +258,32 @@ def test_angles_that_look_like_radians_and_balls_of_another_unit_are_a_warning(t
     assert any("radius_m: 0.002 m; 0.005 to 0.5 are usual: write metres" in line for line in warned)
 
 
+@pytest.mark.parametrize(
+    ("pattern", "becomes", "says"),
+    [
+        (r"\Z", "\n[budget]\nlevel_m = 1.5\n", "budget.level_m: off by 1.5 m, typically? Write metres, not mm"),
+        (r"\Z", "\n[body]\npan_limit_deg = [-900.0, 900.0]\n", "body.pan_limit_deg: no gimbal turns so far"),
+        (r"pose = \{.*\}", "pose = { x_m = 0.4, y_m = 0.4, yaw_deg = 45.0 }", "r1 and r2 have the same place"),
+    ],
+)
+def test_what_is_hardly_meant_is_a_warning(tmp_path: Path, pattern: str, becomes: str, says: str) -> None:
+    path = tmp_path / "fleet.toml"
+    write_fleet(path, 2, twin=True)
+    text = path.read_text()
+    assert "[budget]" not in text and "[body]" not in text and text.count("pose = {") == 2
+    assert not [line for line in lines(check(path, None, tmp_path), "warning") if says in line]
+    path.write_text(re.sub(pattern, becomes.replace("\\", "\\\\"), text))
+    assert [line for line in lines(check(path, None, tmp_path), "warning") if says in line]
+
+
+def test_tags_that_read_as_others_in_the_mirror_of_the_surface_are_a_warning() -> None:
+    fleet = load_fleet(shipped_fleet("swim"))
+    assert fleet.landmarks is not None and not list(check_files.place_findings(fleet))
+    tags = (*fleet.landmarks.tag, replace(fleet.landmarks.tag[0], id=314))
+    (found,) = check_files.place_findings(replace(fleet, landmarks=replace(fleet.landmarks, tag=tags)))
+    assert "ids 314 can read as others" in found.text
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
 def test_a_mark_of_its_encoding_is_no_mistake_in_a_fleet_file(tmp_path: Path, encoding: str) -> None:
     path = tmp_path / "fleet.toml"
