@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from contextlib import suppress
 from types import MappingProxyType
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 import msgspec
 from msgspec import Meta
@@ -145,11 +146,16 @@ def arguments(verb: str, args: Mapping[str, Arg], strict: bool = True) -> Args:
         if isinstance(value, int) and not -(2**63) <= value < 2**63:
             raise Refusal("content", f"{verb}: {name[:40]}: a whole number of more than 64 bits; write a smaller one")
     try:
-        return msgspec.convert(dict(args), kind, strict=strict)
+        found = msgspec.convert(dict(args), kind, strict=strict)
     except msgspec.ValidationError as error:
         what, _, where = str(error).partition(" - at `$.")
         about = where.rstrip("`") + ": " if where else ""
         raise Refusal("content", f"{verb}: {about}{_plain(what)}") from None
+    for name in args:
+        value = getattr(found, name)
+        if isinstance(value, float) and not math.isfinite(value):
+            raise Refusal("content", f"{verb}: {name}: {value} is no number; write one, such as 0.3")
+    return found
 
 
 def in_words(verb: str, what: Args) -> str:
@@ -174,6 +180,10 @@ def _plain(what: str) -> str:
     ):
         if what.startswith(sign):
             return words + what[len(sign) :].rstrip("`")[:40]
+    if what.startswith("Invalid enum value"):  # one verb has a choice
+        return f"{what.rsplit(' ', 1)[-1][:40]} is no choice; there are {', '.join(get_args(Setting))}"
+    if what.startswith("Expected `float") and what.endswith("got `str`"):
+        return "is no number; write one, such as 0.3, with a point"
     return what[0].lower() + what[1:100]
 
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import itertools
 import threading
+from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from types import TracebackType
@@ -229,7 +230,11 @@ class Typed(NamedTuple):
 def typed(fleet: Fleet, fleet_path: Path, verb: str, words: Sequence[str]) -> Typed:
     """What stands behind the verb: names of robots, and NAME=VALUE. Raises ConfigError for what cannot be ordered."""
     names = [word for word in words if "=" not in word]
-    given = dict(word.split("=", 1) for word in words if "=" in word)
+    pairs = [word.split("=", 1) for word in words if "=" in word]
+    given = dict(pairs)
+    for name, times in Counter(name for name, _ in pairs).items():
+        if times > 1:
+            raise ConfigError(f"{verb}: {printable(name)[:40]} is given {times} times; write it once")
     if not names and verb not in (*URGENT, CLOCK):
         raise ConfigError(f"{verb}: which robot? Write one of {', '.join(fleet.robot)}, or {ALL}")
     everybody = not names or ALL in names

@@ -12,10 +12,10 @@ import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import cv2
 import numpy as np
@@ -128,18 +128,46 @@ def is_picture(path: Path) -> bool:
     return kind in PICTURES | OTHER_PICTURES or (kind is None and path.suffix.lower() in SUFFIXES)
 
 
-def read_picture(path: Path, grey: bool = False, stretch: bool = False, upright: bool = False) -> NDArray[np.uint8]:
+def read_picture(
+    path: Path, grey: bool = False, stretch: bool = False, upright: bool = False, white: float | None = None
+) -> NDArray[np.uint8]:
     """A picture as (height, width, 3) blue green red, or as (height, width) luminance if it is to be `grey`.
 
     Pixels are as the sensor has them; `upright` turns them as EXIF says, for people who look at them. A grey file
-    becomes three equal colours, an alpha plane is left out. More than 8 bits are scaled by the largest value that the
-    type holds (1 for floating point), so that pictures stay comparable: in a focus stack a gain of its own for each
-    photograph would move the peaks of clarity. `stretch` scales by the picture's own largest value, for what is looked
-    at by itself: many cameras write 12 bits into a file of 16, which would come out nearly black.
+    becomes three equal colours, an alpha plane is left out. More than 8 bits are scaled so that `white` becomes 255;
+    None: the largest value that the type holds (1 for floating point), so that pictures stay comparable. `stretch`
+    scales by the picture's own largest value, for what is looked at by itself: many cameras write 12 bits into a file
+    of 16, which would come out nearly black.
 
     Raises ConfigError for a file that is not there, cannot be read, is cut off or holds several pictures, and for
     values that are not finite.
     """
+    raw = _decoded(path, grey, upright)
+    if raw.dtype == np.uint8:
+        return np.asarray(raw, np.uint8)
+    if stretch:
+        white = max(float(raw.max()), 1e-9)
+    elif white is None:
+        white = 1.0 if raw.dtype.kind == "f" else float(np.iinfo(raw.dtype.str).max)
+    return np.asarray((np.clip(raw, 0, white).astype(np.float64) * (255.0 / white)).round(), np.uint8)
+
+
+def white_of_all(paths: Iterable[Path]) -> float | None:
+    """The largest value of as many bits as some pictures of 16 use together; None: they are of another type.
+
+    A gain of its own for each photograph of a focus stack would move the peaks of clarity. Raises as `read_picture`.
+    """
+    most = 0
+    for path in paths:
+        raw = _decoded(path, grey=False, upright=False)
+        if raw.dtype != np.uint16:
+            return None
+        most = max(most, int(raw.max()))
+    return float((1 << max(most.bit_length(), 8)) - 1)
+
+
+def _decoded(path: Path, grey: bool, upright: bool) -> NDArray[Any]:
+    """A picture as it is in the file. Raises as `read_picture`."""
     data = read_file(path, MOST_BYTES, "give a picture")
     kind = _kind(path)
     if kind in OTHER_PICTURES:
@@ -160,15 +188,9 @@ def read_picture(path: Path, grey: bool = False, stretch: bool = False, upright:
     if raw is None:
         what = "" if kind is None or kind in PICTURES else f" (it is {kind})"
         raise ConfigError(f"{path}: not an image that OpenCV can read{what}; give {KINDS}")
-    if raw.dtype == np.uint8:
-        return np.asarray(raw, np.uint8)
     if not np.isfinite(raw).all():
         raise ConfigError(f"{path}: holds values that are not finite; convert it to 8 or 16 bits")
-    if stretch:
-        white = max(float(raw.max()), 1e-9)
-    else:
-        white = 1.0 if raw.dtype.kind == "f" else float(np.iinfo(raw.dtype.str).max)
-    return np.asarray((np.clip(raw, 0, white).astype(np.float64) * (255.0 / white)).round(), np.uint8)
+    return np.asarray(raw)
 
 
 def write_picture(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
@@ -224,7 +246,7 @@ MOST_TABLE_BYTES = 2**24  # a line for each frame of an hour
 
 POSITIONS = "positions.csv"
 COLUMNS = ("file", "focus_position")
-MIN_PHOTOGRAPHS = 3  # a focus peak has a top and two flanks
+MIN_PHOTOGRAPHS = 3  # a focus peak has a top and two flanks; five are fitted
 
 
 class Photograph(NamedTuple):
@@ -235,13 +257,19 @@ class Photograph(NamedTuple):
 def open_stack(directory: Path) -> StackCamera:
     """Read positions.csv. Raises CameraError; photographs are read when they are asked for."""
     photographs = _read_positions(directory)
-    return StackCamera(photographs, _load(photographs[0].path))
+    try:
+        white = white_of_all(photograph.path for photograph in photographs)
+    except ConfigError as error:
+        raise CameraError(f"{error}, and its row out of {POSITIONS}") from None
+    return StackCamera(photographs, _load(photographs[0].path, white), white)
 
 
 class StackCamera:
     """Lens positions are 0, 1, ... in the order of focus_position. Nothing moves, so nothing is waited for."""
 
-    def __init__(self, photographs: list[Photograph], first: Image) -> None:
+    def __init__(self, photographs: list[Photograph], first: Image, white: float | None) -> None:
+        """first: the photograph at lens position 0. white: of all, as `read_picture` takes it."""
+        self._white = white
         self.size = (first.shape[1], first.shape[0])
         self.stamp: Stamp = "exposure-start"
         self._photographs = photographs
@@ -280,7 +308,7 @@ class StackCamera:
 
     def _photograph(self) -> Image:
         path = self._photographs[self._lens_position].path
-        image = _load(path)
+        image = _load(path, self._white)
         size = (image.shape[1], image.shape[0])
         if size != self.size:
             width, height = self.size
@@ -292,11 +320,11 @@ class StackCamera:
         return image
 
 
-def _load(path: Path) -> Image:
+def _load(path: Path, white: float | None) -> Image:
     if not path.is_file():
         raise CameraGone(f"{path}: the photograph has gone; put it back")
     try:
-        return read_picture(path)
+        return read_picture(path, white=white)
     except ConfigError as error:
         raise CameraError(f"{error}, and its row out of {POSITIONS}") from None
 
@@ -321,7 +349,7 @@ def _read_positions(directory: Path) -> list[Photograph]:
         raise CameraError(f"{path}: {twice[0]} stands in more than one row; give each row its own photograph")
     photographs.sort()
     if len(photographs) < MIN_PHOTOGRAPHS:
-        raise CameraError(f"{path}: {len(photographs)} photographs; a peak needs at least {MIN_PHOTOGRAPHS}")
+        raise CameraError(f"{path}: {len(photographs)} photographs are no stack; give five or more")
     for one, next_one in itertools.pairwise(photographs):
         if one.focus_position == next_one.focus_position:
             both = f"{one.path.name} and {next_one.path.name}"

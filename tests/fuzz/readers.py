@@ -64,7 +64,7 @@ FUZZED: dict[str, tuple[str, ...]] = {
                 "_tags",
             )
         ),
-        "hw.camera.files:read_picture",
+        "hw.camera.files:_decoded",
     ),
     "pth": ("agent.perception.enhancement.lu2net:_tensors",),
     "pth.pickle": ("agent.perception.enhancement.lu2net:_Reader.persistent_load",),

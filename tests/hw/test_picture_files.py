@@ -9,7 +9,7 @@ import pytest
 
 from agent.core.config import ConfigError
 from agent.core.picture_head import cut_off, kind_of, orientation, stated_size
-from hw.camera.files import SUFFIXES, folder_of_pictures, picture_files, read_picture, turned
+from hw.camera.files import SUFFIXES, folder_of_pictures, picture_files, read_picture, turned, white_of_all
 
 COLOURS = np.random.default_rng(0).integers(0, 256, (20, 30, 3), dtype=np.uint8)
 LEVELS = np.array([[0, 100, 128, 129, 257, 4095, 20000, 65535]], np.uint16)
@@ -47,6 +47,17 @@ def test_16_bits_are_comparable_unless_they_are_stretched(tmp_path, suffix):
     cv2.imwrite(str(path), LEVELS[:, :-2])  # 12 bits
     assert read_picture(path, grey=True)[0].tolist() == ROUNDED[:-2]
     assert read_picture(path, grey=True, stretch=True)[0].tolist() == [0, 6, 8, 8, 16, 255]
+
+
+def test_pictures_of_16_bits_are_white_where_all_of_them_together_end(tmp_path):
+    """Of a camera of 12 bits, and none of them by itself."""
+    paths = [tmp_path / "dark.png", tmp_path / "light.png"]
+    for path, largest in zip(paths, (700, 4000), strict=True):
+        cv2.imwrite(str(path), np.array([[0, 16, largest]], np.uint16))
+    assert white_of_all(paths) == 4095.0 and white_of_all(paths[:1]) == 1023.0
+    assert read_picture(paths[0], grey=True, white=4095.0)[0].tolist() == [0, 1, 44]
+    cv2.imwrite(str(paths[0]), np.array([[0, 7, 200]], np.uint8))
+    assert white_of_all(paths[:1]) is None
 
 
 def test_floating_point_is_white_at_one(tmp_path):

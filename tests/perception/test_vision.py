@@ -218,7 +218,7 @@ def test_a_machine_that_stood_still_is_no_frozen_camera():
 
 
 def test_photographs_may_repeat():
-    camera = StackCamera([], SCENE)
+    camera = StackCamera([], SCENE, None)
     assert set(told([camera.read() for _ in range(60)])) == {None}
 
 
