@@ -185,12 +185,14 @@ def explain(
 
     from agent.robot.arbiter import table
     from replay.check.explain import PARTS, sigma_parts
+    from replay.files.recover import auto_recovered
 
     if what is Page.sigma:
         if run is None:
             raise ConfigError("sigma: of which run? Give its folder")
         shown = Table("robot", "target", "sigma, mm", *PARTS, box=SIMPLE)
-        rows: list[tuple[str, ...]] = sigma_parts(run)
+        (there,) = auto_recovered([run], complain)
+        rows: list[tuple[str, ...]] = sigma_parts(there)
     else:
         shown = Table("resource", "who", "in a sweep of", "while another has the light", "takes it when", box=SIMPLE)
         rows = [*table()]

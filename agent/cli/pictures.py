@@ -80,7 +80,9 @@ def tags(
 @app.command(epilog="Example: aucamp enhance photographs/ --out clear --side-by-side")
 def enhance(
     source: Annotated[str, typer.Argument(help="Image, folder, video, or a camera such as v4l2:/dev/video0.")] = "",
-    out: Annotated[Path, typer.Option(help="Folder to write to; of one picture also a NAME.png.")] = Path("enhanced"),
+    out: Annotated[
+        Path | None, typer.Option(help="Folder to write to, enhanced if not given; of one picture also a NAME.png.")
+    ] = None,
     side_by_side: Annotated[
         bool, typer.Option("--side-by-side", help="The picture before beside the one after.")
     ] = False,
@@ -101,8 +103,11 @@ def enhance(
     if (bool(source)) == (evaluate is not None):
         raise ConfigError("enhance: give either a SOURCE or --evaluate RAW REFERENCE")
     if evaluate is not None:
+        given = {"--out": out, "--side-by-side": side_by_side, "--frames": frames}
+        refuse_options("enhance --evaluate", given, ())
         raise typer.Exit(enhance_evaluate.run(*evaluate, variant, weights, size, terminal())[1])
-    raise typer.Exit(enhance_source.run(source, out, side_by_side, variant, weights, frames, terminal()))
+    folder = out or Path("enhanced")
+    raise typer.Exit(enhance_source.run(source, folder, side_by_side, variant, weights, frames, terminal()))
 
 
 @app.command(epilog="Example: aucamp train --out lu2net.safetensors --seed 0")

@@ -53,7 +53,9 @@ DARK, BRIGHT = 0.15, 0.85
 
 def print_board(columns: int, rows: int, square_mm: float, out: Path, console: Console) -> None:
     """Write a PDF of one page with a board of `columns` x `rows` inner corners, true to size. Raises ConfigError where
-    no paper is large enough, or the file is there already."""
+    no paper is large enough, or the file is there already, or is named as no PDF."""
+    if out.suffix.lower() != ".pdf":
+        raise ConfigError(f"{out}: the board is a PDF; give --out a name that ends in .pdf")
     if out.exists():
         raise ConfigError(f"{out}: is there already; move it away, or name another file with --out")
     paper, drawn = board_figure(columns, rows, square_mm)

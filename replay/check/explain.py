@@ -178,6 +178,8 @@ def sigma_parts(run: Path) -> list[tuple[str, ...]]:
             parts = () if why.parts_m2 is UNSET else tuple(f"{1e3 * math.sqrt(m2):.2f}" for m2 in why.parts_m2)
             whole = f"{1e3 * moment.state.posterior_sigma_m:.2f}"
             rows.append((box.robot, target, whole, *(parts or ("",) * len(PARTS))))
+    if not rows:
+        raise ConfigError(f"{run}: no robot knew of a target at its end, so there is no sigma to explain")
     return rows
 
 
