@@ -16,6 +16,7 @@ This is a door and no room: the work is done by `agent` and `replay`, where all 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -33,6 +34,7 @@ from agent.robot.fleet_reader import load_fleet
 from replay.check.reexecute import STEP_BYTES, BlackBox, Reexecution, reexecute
 from replay.export import tables
 from replay.files.info import suspecting
+from replay.files.recover import auto_recovered
 from replay.report.lead import truth_at
 from replay.report.timeline import Run, open_run
 
@@ -114,9 +116,13 @@ class Recording:
 
 
 def replay(path: str | Path) -> Recording:
-    """Open the folder of a run, a black box or a fleet's recording. Raises ConfigError for what is none."""
+    """Open the folder of a run, a black box or a fleet's recording. Raises ConfigError for what is none.
+
+    What is torn is mended beside it first, with a warning that says what was lost.
+    """
     with suspecting(Path(path)):
-        return Recording(open_run(Path(path)))
+        (there,) = auto_recovered([Path(path)], lambda line: warnings.warn(line, stacklevel=3))
+        return Recording(open_run(there))
 
 
 def listen(fleet: str | Path, name: str = LOOKER, for_s: float | None = None) -> Iterator[State]:

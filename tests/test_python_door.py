@@ -43,6 +43,15 @@ def test_what_is_not_there_is_said_in_one_line(run, ask, says) -> None:
     assert "\n" not in str(error.value)
 
 
+def test_what_is_torn_is_mended_with_a_warning(tmp_path) -> None:
+    for name in ("r1", "r2", "r3"):
+        whole = (RUN / f"{name}.mcap").read_bytes()
+        (tmp_path / f"{name}.mcap").write_bytes(whole[: len(whole) // 2] if name == "r2" else whole)
+    with pytest.warns(UserWarning, match=r"r2\.mcap was torn, mended as"):
+        run = aucamp.replay(tmp_path)
+    assert 0 < len(run.table("r2")) < len(run.table("r1"))
+
+
 def test_the_notebook_runs(monkeypatch) -> None:
     """Its cells in order, on a recording that is there."""
     matplotlib = pytest.importorskip("matplotlib")
