@@ -100,7 +100,7 @@ logger = logging.getLogger(__name__)
 
 CHANNELS = 16_384  # keys that are recorded: a mesh of 64 robots has 4,200, and a file can number 65,535 channels
 PERIOD_S = 0.1  # how often arrivals are decoded and handed to the writer
-GIVEN_UP_S = 60.0  # a disk that takes nothing for so long will not: whoever started this has to know
+GIVEN_UP_S = 60.0  # a disk that takes nothing for so long will not: the starter of this has to know
 BACKLOG_MESSAGES = 8192
 BACKLOG_BYTES = 16 * 1024 * 1024
 
@@ -289,7 +289,7 @@ def receiving(fleet: Fleet, arrivals: Arrivals, process: str, keys: Path | None 
 # Only what robots show on the network is there, previews of their cameras included; the frames themselves stay on the
 # robots' own computers, in their black boxes.
 
-HOST = "127.0.0.1"  # whoever can reach the port sees everything: other hosts come through ssh -L
+HOST = "127.0.0.1"  # who can reach the port sees everything: other hosts come through ssh -L
 PORT = 8765  # Foxglove's own
 
 

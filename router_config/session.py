@@ -75,7 +75,7 @@ class Sample:
 
 
 class Query:
-    """What somebody asks. Whoever asked waits until it is dropped, or gives up: drop every one."""
+    """What somebody asks. The asker waits until it is dropped, or gives up: drop every one."""
 
     __slots__ = ("_query",)
 
@@ -109,7 +109,7 @@ class Query:
         self._query.reply_err(why)
 
     def drop(self) -> None:
-        """Let go: whoever asked need not wait any longer."""
+        """Let go: the asker need not wait any longer."""
         self._query.drop()  # type: ignore[no-untyped-call]  # of zenoh's own stubs
 
 

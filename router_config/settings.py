@@ -144,7 +144,7 @@ UNKNOWN = "unknown"  # the version of a tree that is not installed
 
 
 def metadata(fleet: Fleet, name: str) -> dict[str, str]:
-    """Of the process `name`, by this fleet file: what is compared by whoever has another copy of the file."""
+    """Of the process `name`, by this fleet file: what a process with another copy of the file compares."""
     return {
         "fleet": fleet.fleet,
         "name": name,

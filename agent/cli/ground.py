@@ -267,7 +267,7 @@ def page(
 ) -> None:
     """A running fleet, or what was recorded of one, in a browser on this machine, until Ctrl-C.
 
-    The address that is printed is good for this run, and for whoever has it.
+    The address that is printed is good for this run, and for all who have it.
     """
     with until_signal() as stop:
         from agent.ground.page.server import run

@@ -260,12 +260,12 @@ def demo(
 
     `robots`, `protocol`, `loss`, `seed`: see demo_fleet. `fleet_name`: a fleet file, or the name of one that
     comes with the package. `speed`: of the dive's clock against the wall's, at most. `page`: with a page to look at it
-    and to order, until whoever looks has seen enough. `faults`: keys of [twin] as they are to be; `stale`: cameras were
-    calibrated before they had them.
+    and to order, until the person who looks has seen enough. `faults`: keys of [twin] as they are to be; `stale`:
+    cameras were calibrated before they had them.
 
     The robots sign with keys of this run, which go with its temporary folder: they are good for nothing else, a run's
     folder is given to others, and may lie where files have no modes. The fleet file as used names the folder `keys`
-    beside it, where whoever wants to run it again puts new ones. `secure`, or a file that is so: all links are TLS.
+    beside it, where a person who runs it again puts new ones. `secure`, or a file that is so: all links are TLS.
     """
     started_s = machine.monotonic_s()
     file = fleet_file(fleet_name)

@@ -234,7 +234,7 @@ def _judged(summary: dict[str, Any]) -> str:
 
 
 # --- table of a survey ---
-# How a survey goes, for whoever watches it: in 80 columns, a line for each robot.
+# How a survey goes, to be watched: in 80 columns, a line for each robot.
 
 
 def survey_table(histories: Histories, survey: SurveyWatch, title: str) -> Table:

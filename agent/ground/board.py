@@ -34,7 +34,7 @@ from hw.twin.twin_folder import twin_dir
 
 BoardOrder = Literal["info", "tare", "check", "params", "reboot"]
 LIMIT_S = 10.0  # of the clock: to be greeted, to be answered, and to be greeted again
-WORDS_S = 1.0  # what is wrong with this boot, a board tells whoever greets it
+WORDS_S = 1.0  # a board that is greeted tells what is wrong with this boot
 LOOK_S = 0.05
 HANDS_S = 60.0  # a person has to turn a switch, or to press a corner down
 

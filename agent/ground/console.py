@@ -279,7 +279,7 @@ def verdict(outcomes: Mapping[str, Outcome]) -> str:
 
 
 # --- battery limits ---
-# When a robot's battery is called low by whoever looks, in volts at its control module.
+# When a robot's battery is called low, in volts at its control module.
 #
 # Both limits are others' own, those of four cells: below the one lamps stay dark, below the other the module
 # surfaces. A module whose parameter `battery_min_mV` was changed surfaces by that one, which nobody here is told.

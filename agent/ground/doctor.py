@@ -265,7 +265,7 @@ def ours(reason: str, shown: bool) -> str | None:
 # Whether somebody answers where a robot should listen, and what is wrong with the certificates, theirs or ours.
 #
 # Zenoh tells nobody why a handshake failed. Python's own TLS does: the server's faults before the handshake is over,
-# ours in what the server says next. A probe does no harm: whoever is probed takes it for a caller that hung up.
+# ours in what the server says next. A probe does no harm: it looks like a caller that hung up.
 
 CONNECT_S, HANDSHAKE_S, REFUSAL_S = 1.0, 1.3, 0.5  # of the wall, at most, for each part of a probe
 PROBE_S = 1.9  # and for all of it

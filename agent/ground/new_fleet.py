@@ -57,7 +57,7 @@ class Row(NamedTuple):
 def write_fleet(path: Path, count: int, twin: bool) -> list[str]:
     """Write the file of `count` robots, 1 to 10; returns lines that say what to type next."""
     write_whole(path, fleet_text(path, count, twin))
-    load_fleet(path)  # whoever wrote it, it is read as any other
+    load_fleet(path)  # a file of ours is read as any other
     robots = f"{count} robot{'s' if count > 1 else ''}"
     typed = shlex.quote(str(path))
     next_one = f"aucamp demo --fleet {typed}" if twin else f"aucamp calibrate run {typed} --robot r1"
@@ -140,16 +140,16 @@ def where_to(fleet: Fleet, made: Sequence[Path], named: str) -> list[str]:
         lines[-1] = "  its own NAME.sign, NAME.key and NAME.pem, the NAME.sign.pub of all, and ca.pem."
         lines += [
             "On the computer of an observer or a console: its own NAME.key and NAME.pem, and ca.pem.",
-            "The authority's ca.key goes nowhere: whoever has it can make anybody's certificate.",
+            "The authority's ca.key goes nowhere: with it anybody's certificate can be made.",
         ]
-    return [*lines, "Whoever has a private key can speak for its robot: keep no copy of it."]
+    return [*lines, "Who has a private key can speak for its robot: keep no copy of it."]
 
 
 def _whose(file: Path) -> str:
     if file.name == CONSOLE_FILE:
         return "for the program zenoh, on this computer"
     if file.name == f"{AUTHORITY}{KEY}":
-        return "the authority's, to nobody: it stays with whoever issues certificates"
+        return "the authority's, to nobody: it stays where certificates are issued"
     if file.name == f"{AUTHORITY}{CERTIFICATE}":
         return "public, to everybody"
     if file.suffix == CERTIFICATE:

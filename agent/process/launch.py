@@ -153,7 +153,7 @@ class Crew:
         self._children.remove(child)
 
     def stop(self, *names: str) -> list[str]:
-        """SIGTERM to these at once, SIGKILL to whoever is left after a while; all are reaped.
+        """SIGTERM to these at once, SIGKILL to those that are left after a while; all are reaped.
 
         Returns a line for each that did not end well: its work may not be done.
         """

@@ -143,7 +143,7 @@ class Inboxes:
 # Orders between two steps: queries are kept until the step that took them has been recorded, and then answered.
 #
 # Zenoh's threads only judge a query by its outside and keep it. One is answered there, at once: it asks what time it
-# is, and whoever compares clocks wants no step in between.
+# is, and a comparison of clocks wants no step in between.
 
 logger = logging.getLogger(__name__)
 
@@ -183,7 +183,7 @@ class OrderBox:
         if why is not None:
             with self._lock:
                 self._refused[why] += 1
-            with contextlib.suppress(Exception):  # whoever asked is gone
+            with contextlib.suppress(Exception):  # the asker is gone
                 query.refuse(why)
             query.drop()
 
@@ -259,7 +259,7 @@ class OrderBox:
         key = topics.ORDER.format(fleet=self._fleet.fleet, robot=self._robot, console=answer.console)
         try:
             query.reply(Answer, key, encode(answer))
-        except Exception as error:  # noqa: BLE001 - whoever asked is gone, or asked for what no reply may answer
+        except Exception as error:  # noqa: BLE001 - the asker is gone, or asked for what no reply may answer
             logger.warning("an order of %s could not be answered: %s", answer.console, str(error)[:200])
         finally:
             query.drop()
@@ -277,7 +277,7 @@ def _read(ordered: Ordered) -> Order | None:
 #
 # Each agent shows a token with its fleet, its name and its session. Tokens reach those that are linked and nobody
 # beyond, so two of one name do not see each other where no link joins them; a neighbour that sees both says so, by a
-# token too. Nothing is believed or refused for it: whoever stands at the tank is told.
+# token too. Nothing is believed or refused for it: people at the tank are told.
 
 LASTING_S = 5.0  # a link that was lost keeps its token for as long as its lease, which is 2 s
 SESSIONS = 4  # remembered of each name: two are one too many

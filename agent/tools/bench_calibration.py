@@ -1,7 +1,7 @@
 """Calibrate one robot's camera and gimbal against a board: the procedure of the bench, in water, at known distances.
 
 Focus: at each distance one sweep, always towards larger lens positions after homing at the smallest, because play in
-the lens is a constant only for one direction; whoever measures later has to sweep the same way. Camera: a chessboard
+the lens is a constant only for one direction; later sweeps have to go the same way. Camera: a chessboard
 at two distances and several settings of the gimbal, always reached from the side of shorter pulses, for the same
 reason. Sag of the lens: a few more sweeps, looking up and down. The board stands upright across the body's x axis;
 distances count from the gimbal's pivot.

@@ -107,7 +107,7 @@ def _head(path: Path) -> bytes:
     try:
         with path.open("rb") as file:
             return file.read(HEAD_BYTES)
-    except OSError:  # a folder, or gone: whoever reads it says so
+    except OSError:  # a folder, or gone: its reader says so
         return b""
 
 

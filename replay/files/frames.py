@@ -34,7 +34,7 @@ from replay.files import channels
 from replay.files.channels import Entry, Schema
 
 # --- protobuf messages ---
-# What our protobuf messages have in common, whoever makes them: how a file describes them, and how they say a time.
+# What all our protobuf messages have in common: how a file describes them, and how they say a time.
 
 
 @cache

@@ -40,7 +40,7 @@ class ClockRate(messages.Message, frozen=True, kw_only=True):
 
 
 class RateNotes:
-    """Whoever has a loop asks it for notes; of one thread."""
+    """A process with a loop asks it for notes; of one thread."""
 
     def __init__(self, clock: Clock, unix_ns: Callable[[], int] = machine.unix_ns) -> None:
         self._clock, self._unix_ns = clock, unix_ns
@@ -129,7 +129,7 @@ class ChannelInfo(NamedTuple):
 
 
 class Info(NamedTuple):
-    complete: bool  # finished by its writer, whoever that was, and as it was written; False: up to the tear
+    complete: bool  # finished by its writer, ours or not, and as it was written; False: up to the tear
     run: dict[str, str]
     end: dict[str, str]  # empty when the writer was killed
     channels: dict[str, ChannelInfo]
@@ -302,7 +302,7 @@ def nominal_hz(channel: str) -> float:
 # --- damaged recordings ---
 # What a recording can do to its reader: nothing but make it say, in one line, that it is damaged.
 #
-# Whoever reads checks what can be checked. What still goes wrong in bytes that no recorder of ours wrote ends here,
+# Readers check what can be checked. What still goes wrong in bytes that no recorder of ours wrote ends here,
 # with the place in our code that could not go on: if it is the code's mistake and not the file's, that is where to
 # look.
 

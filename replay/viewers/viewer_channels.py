@@ -62,7 +62,7 @@ class SurveyChannels:
             yield name(channels.NEXT_VIEW, robot=claim.src), claim.sent_ns, looking(claim.view, claim.sent_ns)
 
     def measured(self, said: Keyframe) -> Iterator[Made]:
-        """What a sweep showed, once, whoever says it and how often."""
+        """What a sweep showed, once, however often and by whom it is said."""
         frame, t_ns = said.frame, said.sent_ns
         if self._known is None or frame.origin not in self._fleet.robot:
             return
@@ -296,7 +296,7 @@ class ViewerChannels:
         yield name(channels.RATE), entry.log_time_ns, shown
 
     def _network(self, entry: Entry) -> Iterator[Made]:
-        """What robots show to whoever looks, in a fleet file."""
+        """What robots show, in a fleet file."""
         row = network_topic(entry.channel)
         if row is None or row[0] not in SHOWN:
             return

@@ -256,12 +256,12 @@ def test_the_command_says_what_goes_where(path: Path) -> None:
     assert done.exit_code == 0, done.output
     lines = done.output.splitlines()
     for line in (
-        f"{keys}/ca.key: the authority's, to nobody: it stays with whoever issues certificates",
+        f"{keys}/ca.key: the authority's, to nobody: it stays where certificates are issued",
         f"{keys}/ca.pem: public, to everybody",
         f"{keys}/r3.pem: certificate, to r3",
         f"{keys}/ann.key: private, to ann alone",
         f"{keys}/zenoh-cli.json5: for the program zenoh, on this computer",
-        "The authority's ca.key goes nowhere: whoever has it can make anybody's certificate.",
+        "The authority's ca.key goes nowhere: with it anybody's certificate can be made.",
     ):
         assert line in lines
     assert "[access]" not in lines

@@ -132,7 +132,7 @@ def allocate(own: str, scene: Scene, lamps: Mapping[str, Lamp], lighting: Lighti
     Starts from the own lamp; in two rounds, in order of names, each free lamp is flipped, and the flip is kept if J
     rises by more than 1 %. The own lamp may go out, the set is never empty. If J then is not better than with the own
     lamp by the share lighting.gain, the answer is the own lamp. A lamp that would shine into the camera, within 20
-    degrees of its axis, is left out. Whoever swims and measures passes free=False.
+    degrees of its axis, is left out. A robot that swims and measures passes free=False.
 
     Raises KeyError if `own` is not among the lamps.
     """

@@ -4,12 +4,12 @@ the check that no lamp changed in a sweep, and the messages of both.
     free --ask--> asks --all answered, or guard over--> holds --release--> free
     free, asks --a neighbour's lease--> obeys --it is over--> free
 
-Whoever asks is told by each neighbour that it obeys, or that it obeys another ("busy"). Of two that ask at the same
-time the one counts that has waited longer, then the one whose name comes first; the other gives up and obeys it. Who
+Each neighbour answers a robot that asks: it obeys, or it obeys another ("busy"). Of two that ask at the same time the
+one counts that has waited longer, then the one whose name comes first; the other gives up and obeys it. A robot that
 obeys takes no lease of a third before this one is over: its holder says so, or its time has run out.
 
-No robot keeps the light. After a lease its holder waits behind whoever asked, whatever it says; each obeys nobody for
-more than MOST_NS of a minute; and who says that it is busy is believed while the lease that it names can be one.
+No robot keeps the light. After a lease its holder waits behind those that asked, whatever it says. Each obeys nobody
+for more than MOST_NS of a minute. One that says that it is busy is believed while the lease that it names can be one.
 
 None of this makes sure that no lamp changes in a sweep: words get lost, lenders fall silent or are switched off. The
 lamp-constancy check below does that, by monotonic counters alone. So a fault here costs light and time, never truth.
@@ -33,7 +33,7 @@ from agent.core.trust import MessageCache
 SILENT_NS = 3_000_000_000  # who was not heard for so long is not waited for
 GONE_NS = 10_000_000_000  # whose lamp is dark, or as it was: nobody who is there is silent for so long
 
-PAUSE_NS = 100_000_000  # after a lease, in which its holder has no other: whoever waited asks now
+PAUSE_NS = 100_000_000  # after a lease, in which its holder has no other: those that waited ask now
 MINUTE_NS, MOST_NS = 60_000_000_000, 50_000_000_000  # of the last minute one robot has the light for so long at most
 TENTH_NS = 100_000_000  # the unit of Lease.waited
 

@@ -109,7 +109,7 @@ def glimpsed_m(fleet: Fleet, camera: CameraFit, far_m: float | None, situation: 
 # A lamp beside the camera shows what is near. Farther out its veil outshines every target, and a neighbour's lamp
 # from aside shows what it does not. So a robot that has looked by its own lamp and found nothing has places lit, one
 # by one: ahead of it and to either side, then the same farther out. A place counts where the lamps that the rule
-# names there would show a target to this camera, and the own lamp would not. Whoever knows no more looks there as
+# names there would show a target to this camera, and the own lamp would not. A robot that knows no more looks there as
 # well, while it is lit.
 #
 # A robot that swims in search of a target asks for none (pointing.py): it comes near what its own lamp shows,

@@ -5,10 +5,10 @@ the neighbour that is later than that shows that it is still lacking. So maps be
 fleet that has all says nothing but which robot has what. Of each start a neighbour gets no more than it can say of
 which it has: what follows the first that it lacks, by SHORT_MASK numbers.
 
-In a fleet with keys a keyframe counts by the signature of its origin, whoever passes it on. Without keys the robot that
-measured speaks for itself: of an origin that is a neighbour and was heard of late its own word alone is taken. Of one
-that is silent, or beyond the neighbours, any robot's is. So a robot that lies can invent what such a one saw, and the
-price is that no robot looks there; what is held already it cannot push out (coverage_map.py).
+In a fleet with keys a keyframe counts by the signature of its origin, by whatever way it came. Without keys the robot
+that measured speaks for itself: of an origin that is a neighbour and was heard of late its own word alone is taken. Of
+one that is silent, or beyond the neighbours, any robot's is. So a robot that lies can invent what such a one saw, and
+the price is that no robot looks there; what is held already it cannot push out (coverage_map.py).
 """
 
 from __future__ import annotations

@@ -152,7 +152,7 @@ class Act(NamedTuple):
 
 
 class No(NamedTuple):
-    """What is not done, whoever asks."""
+    """What is done for nobody."""
 
     command: int
     result: int  # MAV_RESULT
@@ -279,7 +279,7 @@ class Gateway:
         self._lines = 0
 
     def shown(self, message: State | LogLine, arrived_ns: int, wall_ns: int) -> None:
-        """What a robot says to whoever looks."""
+        """What a robot shows."""
         if message.robot not in self.systems:
             return
         if isinstance(message, LogLine):
@@ -291,7 +291,7 @@ class Gateway:
             self._tell(message.robot, each_state(told, self._origin))
 
     def tick(self, now_ns: int, wall_ns: int) -> None:
-        """Beat the heart of whoever is alive, once a second, and tell what became of orders."""
+        """Beat the heart of each robot that is alive, once a second, and tell what became of orders."""
         self._acknowledge()
         for robot in self.systems:
             before_ns = self._beat_ns.get(robot)

@@ -1,8 +1,8 @@
 """From a fleet into another network of Zenoh, and never back: which messages are a robot's own, which are recent
 enough, and a State as a vehicle.
 
-That network is a second session, by their router on this machine. It knows no rules of ours: whoever reaches it could
-say anything, so nothing is heard there.
+That network is a second session, by their router on this machine. It knows no rules of ours: any process that reaches
+it could say anything, so nothing is heard there.
 """
 
 from __future__ import annotations
@@ -148,7 +148,7 @@ class Vehicle(NamedTuple):
     """What a ground station is told of a robot. None: nobody knows, and nothing is sent that would have to say."""
 
     boot_ms: int  # since the agent's start
-    armed: bool  # also where nobody knows, for whoever is about to reach into the water
+    armed: bool  # also where nobody knows, for a person about to reach into the water
     mode: int
     status: int
     north_m: float | None

@@ -200,7 +200,7 @@ class Live:
 
 
 # --- orders from the page ---
-# Orders of whoever stands at the page: through a console, by the states that he has seen.
+# Orders of the person at the page: through a console, by the states that the page has shown.
 
 BEHIND_NS = 3_000_000_000  # robots refuse what goes by an older State, too
 

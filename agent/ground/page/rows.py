@@ -55,7 +55,7 @@ class Rows:
 
     def key(self, topic: Topic, chunks: Mapping[str, str], payload: bytes) -> str | None:
         """What a row stands for on the page; None: it is not shown. What a robot tells its neighbours is one thing,
-        whomever it tells; what a sweep showed is one thing, whoever passes it on."""
+        not one for each; what a sweep showed is one thing, by whatever way it came."""
         robot, target = chunks[topic.writer], chunks.get("target")
         if topic.message not in self._of or robot not in self._robots:
             return None
@@ -166,7 +166,7 @@ def _answer(answer: Answer) -> Fields:
 
 LINES_KEY = "lines"  # the key of what is a queue: log, orders, answers
 CAME = "came"  # the key of what came of a recording, whatever time of it is shown
-KEPT = 400  # lines that whoever opens the page later still sees
+KEPT = 400  # lines that a page opened later still shows
 MOST_KEYS = 1024
 MOST_SURFACES = 768  # keyframes are shown while there are fewer keys: the rest is for what robots say of themselves
 

@@ -1,7 +1,7 @@
 """`aucamp page`: one HTML file and one WebSocket, for browsers on this machine and for people who were given the
 address.
 
-Whoever can reach the port is not yet somebody: a page of another origin that is open in the same browser reaches it,
+To reach the port is not enough: a page of another origin that is open in the same browser reaches it,
 too. So every request says the right host (no DNS rebinding), the socket comes from our own page, and with the token,
 which stands behind the # of the address, in no log and in no request for the page itself.
 """
@@ -341,7 +341,7 @@ def page_of_recording(path: Path, stop: Event, port: int, say: Say) -> None:
 
 
 # --- `aucamp page` ---
-# `aucamp page`: what is to be shown, as whom, and what is told to whoever typed it.
+# `aucamp page`: what is to be shown, as whom, and what the person who typed it is told.
 
 
 def run(what: Path, console: str | None, port: int, out: Path, stop: Event, say: Callable[[str], None]) -> None:
