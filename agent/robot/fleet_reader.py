@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from itertools import combinations
 from pathlib import Path
+from typing import Any
 
 import msgspec
 
@@ -49,12 +50,36 @@ def load_fleet(path: Path) -> Fleet:
 def read_fleet(path: Path) -> Fleet:
     """Read a fleet file, and the file of its tags if it names one; what types cannot say is not asked. Raises
     ConfigError with one line."""
-    data = read_toml(path)
+    data = for_network(read_toml(path), path)
     landmarks = data.get("landmarks")
     if not (isinstance(landmarks, dict) and "file" in landmarks):
         return typed(data, Fleet, path)
     fleet = typed({key: value for key, value in data.items() if key != "landmarks"}, Fleet, path)
     return msgspec.structs.replace(fleet, landmarks=landmarks_of(landmarks, path, fleet.tank))
+
+
+# Values by which robots agree over a network of a kind (docs/outside.md measures them): send_hz and validity_s.
+NETWORKS = {"tether": (10.0, 0.5), "wifi": (10.0, 0.5), "satellite": (5.0, 2.0)}
+
+
+def for_network(data: dict[str, Any], path: Path) -> dict[str, Any]:
+    """The content of a fleet file, in which `network` of [link] stands for numbers; those that the file has win.
+
+    Raises ConfigError for a kind that is not known.
+    """
+    link, estimation = data.get("link"), data.get("estimation", {})
+    if not (isinstance(link, dict) and "network" in link and isinstance(estimation, dict)):
+        return data
+    network = link["network"]
+    if not isinstance(network, str) or network not in NETWORKS:
+        raise ConfigError(f"{path}: key 'link.network': {network!r} is no choice; write one of {', '.join(NETWORKS)}")
+    send_hz, validity_s = NETWORKS[network]
+    told = {key: value for key, value in link.items() if key != "network"}
+    return {
+        **data,
+        "link": {"send_hz": send_hz, **told},
+        "estimation": {"validity_s": validity_s, **estimation},
+    }
 
 
 def _found(target: Target, folder: Path) -> Target:

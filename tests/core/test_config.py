@@ -62,6 +62,23 @@ def test_tables_of_other_capabilities_survive_a_round_trip_as_they_are(tmp_path)
     assert "extend" not in dump(load(tmp_path, TANK))
 
 
+@pytest.mark.parametrize(
+    ("written", "send_hz", "validity_s"),
+    [
+        ('network = "satellite"', 5.0, 2.0),
+        ('network = "satellite"\nsend_hz = 4.0', 4.0, 2.0),
+        ('network = "wifi"', 10.0, 0.5),
+    ],
+)
+def test_a_network_stands_for_numbers_and_the_files_own_win(
+    tmp_path: Path, written: str, send_hz: float, validity_s: float
+) -> None:
+    fleet = load(tmp_path, TANK + f"\n[link]\n{written}\n")
+    assert (fleet.link.send_hz, fleet.estimation.validity_s) == (send_hz, validity_s)
+    with pytest.raises(ConfigError, match=r"link\.network': 'acoustic' is no choice; write one of tether, wifi, sat"):
+        load(tmp_path, TANK + '\n[link]\nnetwork = "acoustic"\n')
+
+
 def test_files_of_a_target_lie_beside_the_fleet_file(tmp_path) -> None:
     fleet = load(tmp_path, TANK.replace(BALL, 'detector = "box"\npicture = "a/x.png"\nbox = [1, 2, 30, 40]'))
     target = fleet.target["ball"]
