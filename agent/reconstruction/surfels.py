@@ -239,6 +239,7 @@ TONE_HUBER = 0.1
 COLOUR_RATE, WATER_RATE, LAST_RATE = 0.03, 5e-3, 0.1
 MOMENTS = (0.9, 0.99)
 EVERYTHING = slice(None)
+BESIDE_IT = 3  # one picture's gain has errors of its own
 BURNT_OUT = 0.95  # of the sensor's limit: such light says nothing of a gain
 START_WATER = (0.10, 0.15, 0.05)  # b_D, b_B [1/m], B_inf
 
@@ -263,12 +264,12 @@ def stand(view: View) -> Floats:
 def picture(surfels: Surfels, view: View) -> tuple[Floats, Floats]:
     """Linear light (height, width, 3) and depth (height, width) from a view's pose by its camera; NaN in holes.
 
-    Its exposure is that of the picture which was taken nearest to it.
+    Its exposure is that of the BESIDE_IT pictures which were taken nearest to it: the mean of their gains.
     """
     drawn = splats(surfels.cloud, view, surfels.pieces)
     light = _seen(blended(drawn, np.nan_to_num(surfels.colour[drawn.numbers])), _range(view, drawn), surfels.water)
-    nearest = np.argmin(np.linalg.norm(surfels.taken - stand(view), axis=1))
-    return light * surfels.gain[nearest], drawn.depth_m
+    nearest = np.argsort(np.linalg.norm(surfels.taken - stand(view), axis=1))[:BESIDE_IT]
+    return light * np.exp(np.log(surfels.gain[nearest]).mean(axis=0)), drawn.depth_m
 
 
 def fit(cloud: Cloud, views: Sequence[View], epochs: int, done: Callable[[int, int], None]) -> Surfels:
