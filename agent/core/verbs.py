@@ -182,8 +182,6 @@ def _plain(what: str) -> str:
             return words + what[len(sign) :].rstrip("`")[:40]
     if what.startswith("Invalid enum value"):  # one verb has a choice
         return f"{what.rsplit(' ', 1)[-1][:40]} is no choice; there are {', '.join(get_args(Setting))}"
-    if what.startswith("Expected `float") and what.endswith("got `str`"):
-        return "is no number; write one, such as 0.3, with a point"
     return what[0].lower() + what[1:100]
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import re
 import threading
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -227,6 +228,9 @@ class Typed(NamedTuple):
     args: dict[str, Arg]
 
 
+NO_NUMBER = re.compile(r"expected `float[^`]*`, got `str`")
+
+
 def typed(fleet: Fleet, fleet_path: Path, verb: str, words: Sequence[str]) -> Typed:
     """What stands behind the verb: names of robots, and NAME=VALUE. Raises ConfigError for what cannot be ordered."""
     names = [word for word in words if "=" not in word]
@@ -250,7 +254,7 @@ def typed(fleet: Fleet, fleet_path: Path, verb: str, words: Sequence[str]) -> Ty
     try:
         what = arguments(verb, given, strict=False)
     except Refusal as refusal:
-        raise ConfigError(str(refusal)) from None
+        raise ConfigError(NO_NUMBER.sub("is no number; write one, such as 0.3", str(refusal))) from None
     whole = msgspec.to_builtins(what)
     args: dict[str, Arg] = {name: whole[name] for name in given}
     return Typed(tuple(fleet.robot) if everybody else tuple(dict.fromkeys(names)), verb, args)

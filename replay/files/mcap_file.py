@@ -166,11 +166,11 @@ def parts(path: Path) -> list[Path]:
 
     Of a part that was torn the mended copy is taken, or else the torn file itself.
     """
-    if re.search(r"\.part\d{3,}$|\.recovered$", _stem(path)):
+    stem = _stem(path)
+    if re.search(r"\.part\d{3,}(\.recovered)?$", stem):
         return [path]
-    first = path.with_name(_stem(path) + ".mcap")
-    unfinished = path.name.endswith(SUFFIX) and path.exists()
-    found, number = [path if unfinished else standing(first) or path], 2
+    first = path.with_name(stem.removesuffix(".recovered") + ".mcap")
+    found, number = [path if path.exists() else standing(first) or path], 2
     while (later := standing(part(first, number))) is not None:
         found.append(later)
         number += 1

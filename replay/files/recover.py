@@ -263,12 +263,12 @@ def _starts(folder: Path, kind: str) -> list[list[Path]]:
     firsts = {folder / ending.sub(".mcap", file.name) for file in folder.iterdir() if ending.search(file.name)}
     starts: dict[object, list[Path]] = {}
     for first in sorted(firsts):
-        if standing(first) is None:
-            continue
-        run = _run(parts(first)[0])
+        there = standing(first)
+        run = {} if there is None else _run(there)
         if run.get("kind") == kind:
             start = tuple(run.get(name, "") for name in ("fleet", "robot", "incarnation"))
-            starts.setdefault(start if all(start) else first, []).append(first)
+            mended = recovered(first)
+            starts.setdefault(start if all(start) else first, []).append(mended if mended.exists() else first)
     return [sorted(copies, key=_size, reverse=True) for copies in starts.values()]
 
 

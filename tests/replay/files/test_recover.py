@@ -14,7 +14,7 @@ from agent.core.config import ConfigError
 from replay.files.channels import CUT, STEP_IN, STEP_OUT, Entry
 from replay.files.info import describe, info
 from replay.files.log import LogWriter, Record, read
-from replay.files.mcap_file import Part, active, hold, is_held, parts, recovered
+from replay.files.mcap_file import Part, active, hold, is_held, recovered
 from replay.files.recover import auto_recovered, black_boxes, recover, recover_all, recovering, sound, torn_files
 from tests.places import GOLDEN, ROOT
 from tests.replay.small_box import STEPS, write_box
@@ -262,7 +262,7 @@ def test_what_is_torn_under_its_finished_name_is_read_mended(tmp_path: Path, dat
     file = auto_recover_torn(tmp_path, data, "r1.mcap")
     file.rename(tmp_path / "r1.mcap")
     assert auto_recovered([tmp_path], lines.append) == [tmp_path]
-    assert parts(tmp_path / "r1.mcap") == [recovered(tmp_path / "r1.mcap")]
+    assert black_boxes(tmp_path) == [recovered(tmp_path / "r1.mcap")]
     assert f"{tmp_path / 'r1.mcap'} was torn, mended as" in lines[0] and len(lines) == 1
     assert recover_all([tmp_path / "r1.mcap"], False, lines.append) == 0
     assert "mended already; " in lines[1]
