@@ -194,6 +194,7 @@ FOCUS = FocusFit(
 RADIUS_SIGMA_PX = 0.2
 BALL_FARTHEST_M = 1.6
 OUTLINE = 24  # points of it that are looked at
+SHOWN = 0.5  # of them in the picture, or it is not found: a ball that its edge halves is found to 0.2 px
 CIRCLE = tuple((math.cos(2.0 * math.pi * k / OUTLINE), math.sin(2.0 * math.pi * k / OUTLINE)) for k in range(OUTLINE))
 
 
@@ -281,7 +282,6 @@ class DrawnBall(DrawnTarget):
         self._camera, self._camera_m = camera, fleet.body.camera_m
         off = self._rng.multivariate_normal(np.zeros(3), full(FOCUS.covariance))
         self._lens = np.array([FOCUS.u_inf_m, FOCUS.b_m, FOCUS.rho0]) + off
-        self.shown = 1.0  # of its outline, or it is not found
         self._shift, self._sweep = 0.0, 0
 
     def _begins(self, sweep: int) -> None:
@@ -315,7 +315,7 @@ class DrawnBall(DrawnTarget):
         u, v = (float(value) for value in np.array(centre) + self._rng.normal(0.0, noise_px, 2))
         radius_px = self._camera.f_px * math.tan(math.asin(self._radius_m / distance_m))
         width, height = self._camera.width_px, self._camera.height_px
-        if self.shown * OUTLINE > sum(
+        if SHOWN * OUTLINE > sum(
             0.0 < u + radius_px * x < width and 0.0 < v + radius_px * y < height for x, y in CIRCLE
         ):
             return None
