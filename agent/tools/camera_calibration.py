@@ -181,6 +181,23 @@ class Photographs:
             progress(done, len(self.paths))
 
 
+CLEAR_OF = 3.0  # sides of a window to one between corners, so that none holds another's edges
+WINDOW_PX = 2, 5  # half of a window's side, at least and at most
+PLACED = cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3  # px
+
+
+def sharpened(grey: NDArray[np.uint8], corners: NDArray[Any], columns: int) -> NDArray[np.float32]:
+    """The finder's corners (n, 1, 2), row by row, moved to where the edges around each meet: by itself it is off by a
+    tenth of a pixel, alike all over the board, and a focal length by up to half a percent."""
+    found = np.ascontiguousarray(corners, np.float32).reshape(-1, 1, 2)
+    rows = found.reshape(-1, columns, 2)
+    steps = [np.linalg.norm(np.diff(rows, axis=axis), axis=-1).min() for axis in (0, 1)]
+    half = min(int(min(steps) / CLEAR_OF), WINDOW_PX[1])
+    if half < WINDOW_PX[0]:
+        return found
+    return np.asarray(cv2.cornerSubPix(grey, found.copy(), (half, half), (-1, -1), PLACED), np.float32)
+
+
 def intrinsics(shots: Photographs, columns: int, rows: int, square_mm: float, progress: Progress) -> Intrinsics:
     """Fit all photographs that show the whole board of columns x rows inner corners.
 
@@ -196,8 +213,9 @@ def intrinsics(shots: Photographs, columns: int, rows: int, square_mm: float, pr
         size = (grey.shape[1], grey.shape[0])
         seen, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         shown += seen
-        if seen and all(np.abs(corners - other).max() > SAME_VIEW * size[0] for other in found):
-            found.append(corners.astype(np.float32))
+        view = sharpened(grey, corners, columns) if seen else None
+        if view is not None and all(np.abs(view - other).max() > SAME_VIEW * size[0] for other in found):
+            found.append(view)
     if size is None or len(found) < MIN_VIEWS:
         alike = f", of which {len(found)} differ" if len(found) < shown else ""
         raise ConfigError(
@@ -289,7 +307,7 @@ def find_corners(grey: NDArray[np.uint8]) -> list[tuple[float, float]]:
     found, corners = cv2.findChessboardCornersSB(grey, (COLUMNS, ROWS), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     if not found:
         return []
-    grid = corners.reshape(ROWS, COLUMNS, 2)
+    grid = sharpened(grey, corners, COLUMNS).reshape(ROWS, COLUMNS, 2)
     # The gimbal has no roll: whichever corner the finder starts from, left is left and up is up.
     if grid[0, 0, 0] > grid[0, -1, 0]:
         grid = grid[:, ::-1]

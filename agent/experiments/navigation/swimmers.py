@@ -315,9 +315,8 @@ class DrawnBall(DrawnTarget):
         u, v = (float(value) for value in np.array(centre) + self._rng.normal(0.0, noise_px, 2))
         radius_px = self._camera.f_px * math.tan(math.asin(self._radius_m / distance_m))
         width, height = self._camera.width_px, self._camera.height_px
-        if SHOWN * OUTLINE > sum(
-            0.0 < u + radius_px * x < width and 0.0 < v + radius_px * y < height for x, y in CIRCLE
-        ):
+        shown = sum(0.0 < u + radius_px * x < width and 0.0 < v + radius_px * y < height for x, y in CIRCLE)
+        if shown < SHOWN * OUTLINE:
             return None
         skin_m = distance_m - self._radius_m
         for _ in range(5):
