@@ -82,10 +82,13 @@ class Recording:
     def errors(self, robot: str, target: str | None = None) -> list[tuple[float, float]]:
         """(time_s, m): how far what the robot believed was from the truth, after each iteration.
 
-        target: the first of the fleet file if not given. Empty where no twin has left the truth.
+        target: the first of the fleet file if not given. Empty where no twin has left the truth, which lies in a run's
+        folder, beside the recordings. Raises ConfigError for a robot or a target that is not there.
         """
         self._known(robot)
         name = target or next(iter(self.fleet.target))
+        if name not in self.fleet.target:
+            raise ConfigError(f"{self._run.path}: no target '{name}'; there is {', '.join(self.fleet.target)}")
         true_m = truth_at(self._run, name)
         held = (each for timeline in self._run.about(name) if timeline.robot == robot for each in timeline.held)
         return [(b.t_s, math.dist(x_m, there)) for b, x_m in held if (there := true_m(b.t_s)) is not None]

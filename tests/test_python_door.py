@@ -34,6 +34,7 @@ def test_steps_are_decoded_and_run_again(run) -> None:
     [
         (lambda run: run.table("r9"), "nothing of a robot 'r9'"),
         (lambda run: run.table("r1", "weather"), "take one of state, telemetry"),
+        (lambda run: run.errors("r1", "whale"), "no target 'whale'; there is ball"),
         (lambda run: aucamp.replay("nowhere"), "nowhere"),
     ],
 )

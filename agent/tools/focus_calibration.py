@@ -19,19 +19,12 @@ from msgspec.structs import replace
 from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
+from scipy.special import ndtri, stdtrit
 
 from agent.core.config import ConfigError, convert, read_toml, write_whole
 from agent.core.linear_algebra import upper
 from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit, TimingFit, offset
-from agent.core.ranging.focus import (
-    TiltedPeak,
-    as_on_axis,
-    lens_position,
-    port_share,
-    range_variance,
-    shift,
-    with_sag,
-)
+from agent.core.ranging.focus import TiltedPeak, as_on_axis, lens_position, port_share, range_variance, shift, with_sag
 from agent.process.command import Failed, free_name
 from hw.camera.files import read_rows
 
@@ -56,6 +49,7 @@ HUBER_SHARE = 0.778  # what that leaves of the variance of Gaussian residuals
 PASSES = 25
 FIELD_KNOWN = 0.1  # of a peak's half width, standard deviation of its shift anywhere: 10 mm at half a metre
 FIELD_UNTOLD = "these peaks do not tell the field from the curve: take each sweep all over the picture"
+SURE_DISTANCES = 8  # of fewer, drawn, one curve in six is off by more than two of its sigmas
 FIELD_PASSES = 4  # over curve and field in turn
 NOISE_FLOOR = 5e-5  # of the positions' span: half a tenth of a step for a driver of 10 bits, none repeats better
 
@@ -74,7 +68,11 @@ class CalibrationRefused(Failed):
 
 
 def fit_focus(rows: Sequence[FocusRow]) -> FocusFit:
-    """u = u_inf + b / (rho - rho0) through the rows, by least squares in rho. Raises CalibrationRefused."""
+    """u = u_inf + b / (rho - rho0) through the rows, by least squares in rho. Raises CalibrationRefused.
+
+    Its covariance is that of distances, not of rows: what a tape has wrong is alike in all peaks at one distance. Of
+    few of them it is as much wider as Student's t is than the normal distribution, at 95 %.
+    """
     u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
     distances = sorted({float(d) for d in u})
     if len(distances) < MIN_DISTANCES:
@@ -92,13 +90,17 @@ def fit_focus(rows: Sequence[FocusRow]) -> FocusFit:
         raise CalibrationRefused("the pole of the fit lies inside the measurements; check the table for wrong peaks")
     residual = trust * (travel - p[1] / (u - p[0]))
     noise = max(scale(weights * residual, 3), NOISE_FLOOR * float(np.ptp(rho)))
+    at = np.searchsorted(distances, u)
+    together = np.bincount(at, weights * residual) / np.sqrt(np.bincount(at))  # as one row of each distance has it
+    free = len(distances) - 3
+    wide = max(noise, math.sqrt(float(together @ together) / free)) * float(stdtrit(free, 0.975) / ndtri(0.975))
     error_m = p[0] + p[1] / travel - u
     held_out_m = np.concatenate([_held_out_m(u, rho, trust, distance) for distance in distances])
     return FocusFit(
         u_inf_m=float(p[0]),
         b_m=float(p[1]),
         rho0=float(p[2]),
-        covariance=upper(noise * noise * solve(normal, np.eye(3))),
+        covariance=upper(wide * wide * solve(normal, np.eye(3))),
         noise=noise,
         width=float(np.median([row.width for row in rows])),
         lowest=math.floor(rho.min()),
@@ -404,7 +406,8 @@ def run(table: Path, out: Path | None, console: Console) -> FocusFit:
     figure(rows, fit, left_out).savefig(picture)
     console.print(f"picture: {picture}")
     if out is not None:
-        console.print(put(out, "focus", _fields(fit), table))
+        fields = {name: value for name, value in msgspec.to_builtins(fit).items() if value is not None}
+        console.print(put(out, "focus", fields, table))
     return fit
 
 
@@ -470,8 +473,7 @@ def read_table(path: Path) -> Measured:
     for column in set(REQUIRED) - header:
         raise ConfigError(f"{path}: column '{column}' is missing; add it")
     for column in ("direction", "camera", "medium"):
-        values = sorted({line.get(column) or "" for line in lines})
-        if len(values) > 1:
+        if len(values := sorted({line.get(column) or "" for line in lines})) > 1:
             raise ConfigError(f"{path}: column '{column}' mixes {', '.join(values)}; fit each by itself")
     if ("x_px" in header) != ("y_px" in header):
         raise ConfigError(f"{path}: columns x_px and y_px belong together; give both or none")
@@ -482,10 +484,14 @@ def read_table(path: Path) -> Measured:
         if u_mm <= 0:
             raise ConfigError(f"{path}: line {number}: u_mm is {u_mm:g}; a range is positive")
         tilt_deg = _number(path, number, "tilt_deg", line["tilt_deg"]) if line.get("tilt_deg") else 0.0
+        if abs(tilt_deg) > 90.0:
+            raise ConfigError(f"{path}: line {number}: tilt_deg is {tilt_deg:g}; straight up is 90")
         if abs(tilt_deg) > LEVEL_DEG:
             tilted.append(TiltedPeak(u_mm * 1e-3, code, math.radians(tilt_deg)))
             continue
         width = _number(path, number, "width", line["width"]) if line.get("width") else math.nan
+        if width <= 0:
+            raise ConfigError(f"{path}: line {number}: width is {width:g}; a half width is positive")
         rows.append(FocusRow(u_mm * 1e-3, code, width))
         if "x_px" in header:
             x, y = (_number(path, number, column, line[column]) for column in ("x_px", "y_px"))
@@ -528,7 +534,9 @@ def verdict(fit: FocusFit, left_out: Sequence[LeftOut]) -> str:
     bad = badly_foretold(left_out)
     reach = f"{left_out[0].u_m:.2f} to {left_out[-1].u_m:.2f} m"
     if not bad:
-        return f"Good from {reach}: every distance is foretold by the others to {100 * GOOD_LEFT_OUT:.0f} %."
+        few = f" But {len(left_out)} hardly tell how sure that is: measure at {SURE_DISTANCES} or more."
+        good = f"Good from {reach}: every distance is foretold by the others to {100 * GOOD_LEFT_OUT:.0f} %."
+        return good + (few if len(left_out) < SURE_DISTANCES else "")
     places = ", ".join(f"{one.u_m:.2f} m ({1e3 * one.error_m:.0f} mm)" for one in bad)
     return f"Doubtful: leaving a distance out misses it at {places}. Measure there again, or add distances around."
 
@@ -541,16 +549,14 @@ def result_table(fit: FocusFit, left_out: Sequence[LeftOut]) -> Table:
     paper = paper_gauge(fit)
     sigma = [math.sqrt(max(fit.covariance[i], 0.0)) for i in (0, 3, 5)]
     worst = max(range_share(fit, rho) for rho in (fit.lowest, fit.highest))
+    sag = "not measured" if fit.sag_sigma is None else f"{fit.sag:.3g} ± {fit.sag_sigma:.2g}"
     for what, value in (
         ("u_inf, m", f"{fit.u_inf_m:.5g} ± {sigma[0]:.2g}"),
         ("b, m", f"{fit.b_m:.5g} ± {sigma[1]:.2g}"),
         ("rho0", f"{fit.rho0:.6g} ± {sigma[2]:.2g}"),
         ("range by the curve, at most", f"± {100 * worst:.1f} %"),
         ("one peak, lens positions", f"± {fit.noise:.3g}"),
-        (
-            "sag looking straight up, lens positions",
-            "not measured" if fit.sag_sigma is None else f"{fit.sag:.3g} ± {fit.sag_sigma:.2g}",
-        ),
+        ("sag looking straight up, lens positions", sag),
         ("k, f (m), c (m) as in the paper", f"{paper.k:.4g}, {paper.f_m:.4g}, {paper.c_m:.4g}"),
         ("R²", f"{fit.r2:.4f}"),
         ("RMSE, mm", f"{1e3 * fit.rmse_m:.2f}"),
@@ -568,7 +574,7 @@ def figure(rows: Sequence[FocusRow], fit: FocusFit, left_out: Sequence[LeftOut])
 
     u, rho = np.array([r.u_m for r in rows]), np.array([r.rho for r in rows])
     ranges = np.linspace(u.min(), u.max(), 300)
-    drawn = Figure(figsize=(6, 6))
+    drawn = Figure(figsize=(6, 6), layout="tight")
     above, below = drawn.subplots(2, 1, height_ratios=(2, 1))
     above.plot(fit.rho0 + fit.b_m / (ranges - fit.u_inf_m), ranges, label="h(rho)")
     above.plot(rho, u, ".", label="measured")
@@ -579,12 +585,7 @@ def figure(rows: Sequence[FocusRow], fit: FocusFit, left_out: Sequence[LeftOut])
     below.axhline(0.0, color="grey", linewidth=0.7)
     below.set(xlabel="range, m", ylabel="mm")
     below.legend()
-    drawn.tight_layout()
     return drawn
-
-
-def _fields(fit: FocusFit) -> dict[str, Any]:
-    return {name: value for name, value in msgspec.to_builtins(fit).items() if value is not None}
 
 
 def _number(path: Path, line: int, column: str, text: str | None) -> float:

@@ -13,7 +13,7 @@ from rich.console import Console
 
 from agent.core.config import Body, ConfigError, read_toml
 from agent.core.ranging.camera_model import Calibration, CameraFit, load_calibration, offset
-from agent.core.ranging.focus import as_on_axis, h, port_share
+from agent.core.ranging.focus import as_on_axis, h, port_share, range_variance
 from agent.core.ranging.sweep import full_positions
 from agent.process.command import Failed, plain_console
 from agent.tools import focus_calibration
@@ -464,3 +464,34 @@ def test_another_unit_is_named_and_nothing_written(tmp_path: Path, scale: float,
     with pytest.raises(ConfigError, match=says):
         run(path, tmp_path / "r1.toml", Console(quiet=True))
     assert [file.name for file in tmp_path.iterdir()] == ["table.csv"]
+
+
+def test_a_curve_is_as_sure_as_it_says_by_few_distances_and_by_a_tape_that_is_off() -> None:
+    """120 tables each: 16 single peaks, and 8 distances of five peaks each whose tape is off by 3 mm."""
+    rng, at_m = np.random.default_rng(1), (0.4, 0.6, 0.9, 1.2)
+    for distances, peaks, noise, tape_m in ((16, 1, 1.0, 0.0), (8, 5, 0.3, 0.003)):
+        read_m = np.round(1.0 / np.linspace(1.0 / 0.22, 1.0 / 1.2, distances), 3)
+        pulls = []
+        for _ in range(120):
+            true_m = read_m + rng.normal(0.0, tape_m, distances)
+            rows = [
+                FocusRow(float(d), 100.0 + 60.0 / float(t) + float(rng.normal(0.0, noise)), 30.0)
+                for d, t in zip(read_m, true_m, strict=True)
+                for _ in range(peaks)
+            ]
+            fit = fit_focus(rows)
+            for u_m in at_m:
+                rho = 100.0 + 60.0 / u_m
+                off_m = fit.u_inf_m + fit.b_m / (rho - fit.rho0) - u_m
+                pulls.append(off_m / math.sqrt(range_variance(fit, rho, 0.0)[1]))
+        assert 0.5 < math.sqrt(np.mean(np.square(pulls))) < 1.5
+
+
+@pytest.mark.parametrize(
+    ("row", "says"), [("400,250,-5,0", "width is -5; a half width is positive"), ("400,250,5,200", "tilt_deg is 200")]
+)
+def test_a_width_or_a_tilt_that_cannot_be_is_named(tmp_path, row: str, says: str) -> None:
+    table = tmp_path / "t.csv"
+    table.write_text(f"u_mm,code,width,tilt_deg\n{row}\n")
+    with pytest.raises(ConfigError, match=f"line 2: {says}"):
+        read_table(table)
