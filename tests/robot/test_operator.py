@@ -52,7 +52,7 @@ def test_every_order_is_answered_in_its_step_and_in_turn(robot) -> None:
         ("lamp", {"light": 1.0}, "it has no lamp"),
         ("goto", {"x_m": 0.5, "y_m": 0.5}, "it is moored"),
         ("survey", {}, "its behaviour in the fleet file is no survey"),
-        ("set", {"name": "gain", "value": 1.0}, "invalid enum value"),
+        ("set", {"name": "gain", "value": 1.0}, "is no choice; there are sweeps"),
         ("set", {"name": "send_hz", "value": 0.5}, "value: 0.5 is not within 2 to 20"),
         ("set", {"name": "speed_m_s", "value": 0.1}, "it is moored"),
         ("set", {"name": "sweeps", "value": 2.0}, "1 is on, 0 is off"),

@@ -467,12 +467,12 @@ def test_another_unit_is_named_and_nothing_written(tmp_path: Path, scale: float,
 
 
 def test_a_curve_is_as_sure_as_it_says_by_few_distances_and_by_a_tape_that_is_off() -> None:
-    """120 tables each: 16 single peaks, and 8 distances of five peaks each whose tape is off by 3 mm."""
+    """60 tables each: 16 single peaks, and 8 distances of five peaks each whose tape is off by 3 mm."""
     rng, at_m = np.random.default_rng(1), (0.4, 0.6, 0.9, 1.2)
     for distances, peaks, noise, tape_m in ((16, 1, 1.0, 0.0), (8, 5, 0.3, 0.003)):
         read_m = np.round(1.0 / np.linspace(1.0 / 0.22, 1.0 / 1.2, distances), 3)
         pulls = []
-        for _ in range(120):
+        for _ in range(60):
             true_m = read_m + rng.normal(0.0, tape_m, distances)
             rows = [
                 FocusRow(float(d), 100.0 + 60.0 / float(t) + float(rng.normal(0.0, noise)), 30.0)
@@ -484,7 +484,7 @@ def test_a_curve_is_as_sure_as_it_says_by_few_distances_and_by_a_tape_that_is_of
                 rho = 100.0 + 60.0 / u_m
                 off_m = fit.u_inf_m + fit.b_m / (rho - fit.rho0) - u_m
                 pulls.append(off_m / math.sqrt(range_variance(fit, rho, 0.0)[1]))
-        assert 0.5 < math.sqrt(np.mean(np.square(pulls))) < 1.5
+        assert np.mean(np.abs(pulls) > 2.0) < 0.12 and np.mean(np.abs(pulls) > 0.3) > 0.3
 
 
 @pytest.mark.parametrize(
