@@ -240,8 +240,8 @@ def unit_findings(fleet: Fleet) -> Iterator[Finding]:
 
 def place_findings(fleet: Fleet) -> Iterator[Finding]:
     """Robots that are in one place, and tags that are better not used."""
-    moored = [(name, robot.pose, robot.depth_m) for name, robot in fleet.robot.items()]
-    for (one, a, a_m), (other, b, b_m) in itertools.combinations(moored, 2):
+    places = [(name, robot.pose, robot.depth_m) for name, robot in fleet.robot.items()]
+    for (one, a, a_m), (other, b, b_m) in itertools.combinations(places, 2):
         if math.dist((a.x_m, a.y_m, a_m), (b.x_m, b.y_m, b_m)) < BESIDE_M:
             text = f"{one} and {other} have the same place; correct x_m, y_m or depth_m of one"
             yield Finding("warning", "fleet", text)

@@ -186,7 +186,7 @@ WINDOW_PX = 2, 5  # half of a window's side, at least and at most
 PLACED = cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 30, 1e-3  # px
 
 
-def sharpened(grey: NDArray[np.uint8], corners: NDArray[Any], columns: int) -> NDArray[np.float32]:
+def subpixel(grey: NDArray[np.uint8], corners: NDArray[Any], columns: int) -> NDArray[np.float32]:
     """The finder's corners (n, 1, 2), row by row, moved to where the edges around each meet: by itself it is off by a
     tenth of a pixel, alike all over the board, and a focal length by up to half a percent."""
     found = np.ascontiguousarray(corners, np.float32).reshape(-1, 1, 2)
@@ -213,7 +213,7 @@ def intrinsics(shots: Photographs, columns: int, rows: int, square_mm: float, pr
         size = (grey.shape[1], grey.shape[0])
         seen, corners = cv2.findChessboardCornersSB(grey, (columns, rows), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
         shown += seen
-        view = sharpened(grey, corners, columns) if seen else None
+        view = subpixel(grey, corners, columns) if seen else None
         if view is not None and all(np.abs(view - other).max() > SAME_VIEW * size[0] for other in found):
             found.append(view)
     if size is None or len(found) < MIN_VIEWS:
@@ -307,7 +307,7 @@ def find_corners(grey: NDArray[np.uint8]) -> list[tuple[float, float]]:
     found, corners = cv2.findChessboardCornersSB(grey, (COLUMNS, ROWS), flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
     if not found:
         return []
-    grid = sharpened(grey, corners, COLUMNS).reshape(ROWS, COLUMNS, 2)
+    grid = subpixel(grey, corners, COLUMNS).reshape(ROWS, COLUMNS, 2)
     # The gimbal has no roll: whichever corner the finder starts from, left is left and up is up.
     if grid[0, 0, 0] > grid[0, -1, 0]:
         grid = grid[:, ::-1]

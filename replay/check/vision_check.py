@@ -370,13 +370,14 @@ def _on_average(pairs: Sequence[SightingPair], lossless: bool) -> dict[str, Quan
 
 def _decided(sweeps: Sequence[SweepPair], swims: bool, lossless: bool) -> dict[str, Quantity]:
     found = {}
-    for name, limit in (("peak", SWUM_RMS if swims else SHARE_RMS), ("place", SHARE_RMS)):
+    for name, by_jpeg in (("peak", SWUM_RMS if swims else SHARE_RMS), ("place", SHARE_RMS)):
         shifts = [shift for sweep in sweeps if (shift := getattr(sweep, name)) is not None]
         if not shifts:
             continue
         what = f"{name} of each sweep, in its own sigma"
-        found[f"{what}, rms"] = rms(shifts, EXACT_SHARE if lossless else limit)
-        found[f"{what}, worst"] = worst([abs(shift) for shift in shifts], EXACT_SHARE if lossless else WORST * limit)
+        limit, most = (EXACT_SHARE, EXACT_SHARE) if lossless else (by_jpeg, WORST * by_jpeg)
+        found[f"{what}, rms"] = rms(shifts, limit)
+        found[f"{what}, worst"] = worst([abs(shift) for shift in shifts], most)
         if name == "peak" and not lossless:
             by_chance = CHANCE * limit / math.sqrt(len(shifts))
             found[f"{what}, mean"] = mean_shift([(shift,) for shift in shifts], by_chance)

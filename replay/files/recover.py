@@ -305,7 +305,7 @@ def auto_recovered(paths: Iterable[Path], say: Say) -> list[Path]:
     found = []
     for path in paths:
         if path.is_dir():
-            _mended(path, say)
+            _mend_all_in(path, say)
             found.append(path)
         else:
             first, *later = parts(path)
@@ -315,7 +315,7 @@ def auto_recovered(paths: Iterable[Path], say: Say) -> list[Path]:
     return found
 
 
-def _mended(folder: Path, say: Say) -> None:
+def _mend_all_in(folder: Path, say: Say) -> None:
     """Mend what is torn in a folder, and say which of its files are not read."""
     copies = {recovered(file) for file in folder.glob("*.mcap*")}
     for file in sorted({*folder.glob("*.mcap"), *folder.glob(f"*.mcap{SUFFIX}")} - copies):

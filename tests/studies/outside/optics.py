@@ -278,14 +278,16 @@ SEEN: dict[str, tuple[int, int]] = {  # px, the middle of a window
 def scenes(quick: bool) -> Iterator[Finding]:
     """Light of a lamp beside the camera that things in clear water send back, and the shadow of one: middle colour."""
     samples = 64 if quick else 1024
-    for name in SEEN:
-        yield _found(f"{name}, albedo {DARK}, in clear water", *_scene(name, DARK, samples), "", 0.05)
-    for name in () if quick else ("floor", "edge of a shadow"):
-        yield _found(f"{name}, albedo {LIGHT}, in clear water", *_scene(name, LIGHT, samples), "", 0.05)
+    unit = _reference(samples)[:, 1]
+    light = () if quick else ("floor", "edge of a shadow")
+    for albedo, names in ((DARK, tuple(SEEN)), (LIGHT, light)):
+        for name in names:
+            twin, other = _scene(name, albedo, samples) / unit
+            yield _found(f"{name}, albedo {albedo}, in clear water", twin, other, "", 0.05)
 
 
-def _scene(name: str, albedo: float, samples: int) -> tuple[float, float]:
-    """Radiance of what is seen, by twin and Mitsuba."""
+def _scene(name: str, albedo: float, samples: int) -> Numbers:
+    """(2,) mean radiance of what is seen, middle colour, by twin and Mitsuba."""
     lens = camera_lens()
     image_m = focused_m(lens, apparent(lens, BALL[0][2]))
     at = Eye((TANK.size_m[0] - BACK_M, ACROSS_M, BELOW_M), AXES)
@@ -299,9 +301,7 @@ def _scene(name: str, albedo: float, samples: int) -> tuple[float, float]:
     things |= outside.round_thing("ball", *BALL, albedo) | outside.round_thing("stone", *STONE, albedo)
     things |= outside.lamp(outside.Lamp(LAMP_M, veil.INTENSITY_W_SR, veil.HALF_RAD))
     other = outside.render(in_mitsuba(lens, image_m), things, window(SEEN[name]), samples)
-    units = _reference(samples)[:, 1]
-    shown, judged = (float(np.mean(each[..., 1])) / unit for each, unit in zip((twin, other), units, strict=True))
-    return shown, judged
+    return np.array([float(np.mean(picture[..., 1])) for picture in (twin, other)])
 
 
 def backscatter(quick: bool) -> Iterator[Finding]:
