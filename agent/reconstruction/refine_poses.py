@@ -19,7 +19,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csr_array, diags_array, eye_array, hstack
+from scipy.sparse import block_diag, csr_array, diags_array, eye_array, hstack
 from scipy.sparse.linalg import splu
 from scipy.spatial.transform import Rotation
 
@@ -40,6 +40,8 @@ class Sigmas(NamedTuple):
     place_m: float  # in x and in y
     yaw_rad: float
     gimbal_rad: float  # of pan and of tilt
+    level_rad: float = LEVEL_RAD  # of roll and of pitch
+    depth_m: float = DEPTH_M
 
 
 def covariance_of(rotation: Floats, arm_m: Floats, sigmas: Sigmas) -> Floats:
@@ -48,9 +50,11 @@ def covariance_of(rotation: Floats, arm_m: Floats, sigmas: Sigmas) -> Floats:
     A turn of the body moves the camera on its arm; one of the gimbal does not.
     """
     turns = [(np.array([0.0, 0.0, 1.0]), sigmas.yaw_rad, True)]
-    turns += [(axis, LEVEL_RAD, True) for axis in np.eye(3)[:2]]
+    turns += [(axis, sigmas.level_rad, True) for axis in np.eye(3)[:2]]
     turns += [(axis, sigmas.gimbal_rad, False) for axis in (np.array([0.0, 0.0, 1.0]), rotation[:, 0])]
-    shifts = [(axis, sigma) for axis, sigma in zip(np.eye(3), (sigmas.place_m, sigmas.place_m, DEPTH_M), strict=True)]
+    shifts = [
+        (axis, sigma) for axis, sigma in zip(np.eye(3), (sigmas.place_m, sigmas.place_m, sigmas.depth_m), strict=True)
+    ]
     total = np.zeros((6, 6))
     for axis, sigma, with_arm in turns:
         moved = np.cross(axis, arm_m) if with_arm else np.zeros(3)
@@ -62,9 +66,8 @@ def covariance_of(rotation: Floats, arm_m: Floats, sigmas: Sigmas) -> Floats:
     return total
 
 
-# --- what is known before pictures are compared: errors that a robot's views share ---
+# --- what is known before pictures are compared: errors that a robot's views share, and those of each ---
 
-VIEW_SIGMA = (np.radians(0.1), 1e-3)  # rad and m: what a view's pose has of its own, beside its robot
 FOCUS_SHARED = 4e-3  # of z: what a lens' calibration makes all its depths wrong by together
 LEAST_SIGMA = 1e-6  # rad and m: of a pose that claims to be known
 Sparse = Any  # scipy's csr_array, which comes without types
@@ -79,7 +82,7 @@ def robots_of(views: Sequence[View]) -> list[list[int]]:
 def errors_of(views: Sequence[View]) -> Sparse:
     """(6 n, 6 (n + r)): (w, t) of n views by errors of unit variance, their own and after them those of r robots.
 
-    A robot's error is what its views' covariances say as one, carried over to each; a view's own is VIEW_SIGMA.
+    A robot's error is what its views' covariances say as one, carried over to each.
     """
     groups = robots_of(views)
     together = np.zeros((6 * len(views), 6 * len(groups)))
@@ -89,7 +92,8 @@ def errors_of(views: Sequence[View]) -> Sparse:
         root = np.linalg.cholesky(np.linalg.inv(shared(mine, centre)))
         for n, view in zip(group, mine, strict=True):
             together[6 * n : 6 * n + 6, 6 * robot : 6 * robot + 6] = carried(view, centre) @ root
-    return hstack([diags_array(np.tile(np.repeat(VIEW_SIGMA, 3), len(views))), csr_array(together)], format="csr")
+    alone = block_diag([np.linalg.cholesky(view.own_covariance) for view in views])
+    return hstack([alone, csr_array(together)], format="csr")
 
 
 def shared(views: Sequence[View], centre_m: Floats) -> Floats:
@@ -319,7 +323,11 @@ def _median(values: Floats) -> float:
 
 def _reach_px(views: Sequence[View], stack: Stack, found: Corners) -> float:
     """How far from where it should be a corner may be in another picture, by what poses are said to be wrong by."""
-    variance = np.array([np.diag(view.pose_covariance) for view in views]).reshape(-1, 2, 3).mean(axis=(0, 2))
+    variance = (
+        np.array([np.diag(view.pose_covariance + view.own_covariance) for view in views])
+        .reshape(-1, 2, 3)
+        .mean(axis=(0, 2))
+    )
     z = float(np.median(found.depth_m)) if len(found.depth_m) else 1.0
     sigma_px = float(stack.cameras[:, 0].max()) * np.sqrt(2.0 * (variance[0] + variance[1] / z**2))
     return float(np.clip(REACH_SIGMAS * sigma_px, LEAST_REACH_PX, MOST_REACH_PX))

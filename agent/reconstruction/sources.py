@@ -1,6 +1,6 @@
 """Views from recordings (black boxes), or from a folder of pictures in nerfstudio's layout.
 
-Each whole sweep of a recording gives one view: what it shows, and where the camera was at its largest frame. A moored
+Each whole sweep of a recording gives one view: what it shows, and where the camera was at its clearest frame. A moored
 robot is where the fleet file says, at the depth, roll and pitch that its pressure sensors tell; one that swims is where
 it logged that it was. While the lens moves the robot drifts by some pixels. The target's centre says where the frames
 lie on each other; where there is none they are registered.
@@ -24,7 +24,7 @@ from msgspec import Meta
 from agent.core.codec import as_text
 from agent.core.config import ConfigError, Pose, check_depth, convert, inside, read_file
 from agent.core.ranging.camera_model import camera_pose, gimbal_deg
-from agent.perception.clarity import luminance
+from agent.perception.clarity import gradient_energy, luminance
 from agent.process.command import Progress, Show
 from agent.reconstruction.refine_poses import Sigmas, covariance_of
 from agent.reconstruction.views import (
@@ -37,13 +37,14 @@ from agent.reconstruction.views import (
     linear,
     reduction,
     shrunk_frame,
+    steady,
 )
 from hw.camera.files import read_picture, turned
 from replay.check.reexecute import BlackBox, open_boxes
 from replay.viewers.viewer_channels import SweepFrame
 from replay.whole_sweeps import Motion, TakenSweep, taken_sweeps, told
 
-MOORED = (3e-3, 0.5)  # of a survey by hand and tape: m in x and in y, degrees of yaw
+MOORED = (3e-3, math.radians(0.5))  # of a survey by hand and tape: m in x and in y, rad of yaw
 LEAST_PX = 128  # of the part that all frames of a sweep show, across and down
 MOST_DRIFT_PX = 0.1  # of the picture's width from one frame to the next: more is no drift
 
@@ -90,48 +91,50 @@ def view_of(box: BlackBox, moved: Motion, sweep: TakenSweep) -> View | str:
     lens_positions = np.array([float(frame.sighting.focus or 0) for frame in frames])
     if len(np.unique(lens_positions)) < len(lens_positions):
         return "a lens position twice"
-    largest = -1 if box.calibration.camera.breathing >= 0.0 else 0
-    cut = aligned(frames, largest)
+    cut = aligned(frames)
     if cut is None:
         return "frames that do not lie on each other"
-    t_ns = frames[largest].sighting.t_ns
-    pose = _pose(box, moved, t_ns)
-    if pose is None:
+    clearest = cut.clearest
+    eye = _eye(box, moved, frames[clearest].sighting.t_ns)
+    if eye is None:
         return "whereabouts unknown"
-    rotation, position, covariance, tilt_rad = pose
-    images, corner, middle = cut
-    swept: Swept = keyframe(images, lens_positions, box.calibration, tilt_rad, corner, middle)
+    corner = cut.corners_px[clearest]
+    swept: Swept = keyframe(cut.images, lens_positions, box.calibration, eye.tilt_rad, corner, cut.grown_about_px)
     return View(
         robot=box.robot,
         incarnation=str(box.incarnation),
         seq=sweep.number,
         camera=swept.camera,
-        rotation=rotation,
-        position_m=position,
-        pose_covariance=covariance,
+        rotation=eye.rotation,
+        position_m=eye.position_m,
+        pose_covariance=eye.shared,
         picture=swept.picture,
         depth_m=swept.depth.depth_m,
         sigma_m=swept.depth.sigma_m,
+        own_covariance=eye.own,
     )
 
 
-Cut = tuple[list[np.ndarray], tuple[int, int], tuple[float, float] | None]
+class Cut(NamedTuple):
+    """The part that all frames of a sweep show, cut out of each where it lies in it."""
+
+    images: list[np.ndarray]
+    corners_px: list[tuple[int, int]]  # upper left one of each, in its whole picture
+    grown_about_px: tuple[float, float] | None  # in the part; None: about the optical axis
+
+    @property
+    def clearest(self) -> int:
+        """The frame of which a sharp picture shows most: where things are in it is where the camera was then."""
+        return int(np.argmax([gradient_energy(luminance(image)).mean() for image in self.images]))
 
 
-def aligned(frames: Sequence[SweepFrame], reference: int) -> Cut | None:
-    """The part that all frames show, cut out of each where it lies in it; its corner in the whole picture of the
-    reference; and where pictures grow about, in the part (None: about the optical axis).
-    """
+def aligned(frames: Sequence[SweepFrame]) -> Cut | None:
+    """None where that cannot be told, or is too little."""
     seen = [frame.sighting.centre_px for frame in frames if frame.sighting.radius_px]
-    if len(seen) == len(frames):
-        at = np.array(seen, float)
-        about: tuple[float, float] | None = None
-    else:
-        drift = _drift(frames)
-        if drift is None:
-            return None
-        at = drift
-        about = None
+    by_target = len(seen) == len(frames)
+    at = np.array(seen, float) if by_target else _drift(frames)
+    if at is None:
+        return None
     rois = np.array([frame.roi for frame in frames], float)
     anchor = np.rint(at - rois[:, :2]).astype(int)  # in each frame
     before = anchor.min(axis=0)
@@ -143,10 +146,8 @@ def aligned(frames: Sequence[SweepFrame], reference: int) -> Cut | None:
         frame.image[y - before[1] : y + after[1], x - before[0] : x + after[0]]
         for frame, (x, y) in zip(frames, anchor.tolist(), strict=True)
     ]
-    corner = rois[reference, :2].astype(int) + anchor[reference] - before
-    if len(seen) == len(frames):
-        about = float(before[0]), float(before[1])
-    return images, (int(corner[0]), int(corner[1])), about
+    corners = [(int(x), int(y)) for x, y in rois[:, :2].astype(int) + anchor - before]
+    return Cut(images, corners, (float(before[0]), float(before[1])) if by_target else None)
 
 
 def _drift(frames: Sequence[SweepFrame]) -> Floats | None:
@@ -168,28 +169,43 @@ def _drift(frames: Sequence[SweepFrame]) -> Floats | None:
     return np.array(at)
 
 
-def _pose(box: BlackBox, moved: Motion, t_ns: int) -> tuple[Floats, Floats, Floats, float] | None:
-    """Rotation, position and covariance of the camera at a time, and how far it looks up, rad; None: unknown."""
+class Eye(NamedTuple):
+    """The camera at one moment."""
+
+    rotation: Floats  # (3, 3) camera to world
+    position_m: Floats  # (3,)
+    shared: Floats  # (6, 6) covariance of (w, t): what the robot's camera is wrong by at all times
+    own: Floats  # (6, 6) and at this moment
+    tilt_rad: float  # how far it looks up
+
+
+def _eye(box: BlackBox, moved: Motion, t_ns: int) -> Eye | None:
+    """None: unknown. Where a moored robot is was surveyed once; one that swims is wrong anew each time."""
     level = moved.level(t_ns)
     if level is None:
         return None
     moored = box.fleet.navigation is None
     known = None if moored else moved.whereabouts(t_ns)
+    fleet, camera = box.fleet, box.calibration.camera
     if known is not None:
         pose = Pose(x_m=known.x_m, y_m=known.y_m, yaw_deg=known.yaw_deg)
-        place_m, yaw_deg = known.place_sigma_m / math.sqrt(2.0), known.yaw_sigma_deg
+        always, now = (0.0, 0.0), (known.place_sigma_m / math.sqrt(2.0), math.radians(known.yaw_sigma_deg))
     elif moored:
-        pose, (place_m, yaw_deg) = box.fleet.robot[box.robot].pose, MOORED
+        pose, always, now = fleet.robot[box.robot].pose, MOORED, (0.0, 0.0)
     else:
         return None
-    fleet, camera = box.fleet, box.calibration.camera
     pan, tilt = gimbal_deg(camera, fleet.body, level.servos_us)
     surface_m = fleet.tank.surface_m
     eye = camera_pose(pose, fleet.body, level.depth_m, level.roll_deg, level.pitch_deg, pan, tilt, surface_m)
     rotation, position = np.array(eye.rotation), np.array(eye.position_m)
-    sigmas = Sigmas(place_m, math.radians(yaw_deg), math.radians(camera.noise_deg))
-    covariance = covariance_of(rotation, position - np.array(eye.body_m), sigmas)
-    return rotation, position, covariance, math.asin(max(-1.0, min(1.0, float(rotation[2, 2]))))
+    arm = position - np.array(eye.body_m)
+    return Eye(
+        rotation,
+        position,
+        covariance_of(rotation, arm, Sigmas(*always, math.radians(camera.noise_deg))),
+        steady() + covariance_of(rotation, arm, Sigmas(*now, gimbal_rad=0.0, level_rad=0.0, depth_m=0.0)),
+        math.asin(max(-1.0, min(1.0, float(rotation[2, 2])))),
+    )
 
 
 # --- pictures that others took: a folder in nerfstudio's layout -> views without depths of their own ---

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Literal, NamedTuple
 
 import cv2
@@ -127,6 +127,19 @@ def slopes_of(camera: Camera, u: float, v: float) -> tuple[float, float]:
 # --- the view ---
 
 
+def diagonal_prior(angle_rad: float, place_m: float) -> Floats:
+    """(6, 6) covariance of (w, t) with the same standard deviation along each axis."""
+    return np.diag([angle_rad**2] * 3 + [place_m**2] * 3)
+
+
+VIEW_SIGMA = (math.radians(0.1), 1e-3)  # rad and m: what a view of a robot that stays has of its own
+
+
+def steady() -> Floats:
+    """(6, 6) own covariance of a view of a robot that stays."""
+    return diagonal_prior(*VIEW_SIGMA)
+
+
 @dataclass(frozen=True, eq=False)
 class View:
     """One keyframe. Arrays are not copied, and must not be written to.
@@ -140,19 +153,15 @@ class View:
     camera: Camera
     rotation: Floats  # (3, 3) camera to world
     position_m: Floats  # (3,) of the gimbal's pivot in the world
-    pose_covariance: Floats  # (6, 6) of (w, t), rad and m: all that is not known of the pose
+    pose_covariance: Floats  # (6, 6) of (w, t), rad and m: what all views of its robot are wrong by together
     picture: NDArray[np.float32]  # (height, width, 3) red green blue, linear light, 1 at the sensor's limit
     depth_m: NDArray[np.float32]  # (height, width) along the axis from the pivot; NaN: unknown
     sigma_m: NDArray[np.float32]  # (height, width) standard deviation of that; NaN: unknown
+    own_covariance: Floats = field(default_factory=steady)  # as pose_covariance: what it alone is wrong by, beside that
 
     @property
     def key(self) -> tuple[str, str, int]:
         return self.robot, self.incarnation, self.seq
-
-
-def diagonal_prior(angle_rad: float, place_m: float) -> Floats:
-    """(6, 6) covariance of (w, t) with the same standard deviation along each axis."""
-    return np.diag([angle_rad**2] * 3 + [place_m**2] * 3)
 
 
 def to_world(view: View, points_m: Floats) -> Floats:

@@ -12,13 +12,12 @@ from agent.reconstruction.pose_evidence import apart, between, by_motion, moved_
 from agent.reconstruction.refine_poses import (
     FOCUS_SCALE,
     FOCUS_SHARED,
-    VIEW_SIGMA,
     Bundle,
     bundle_of,
     errors_of,
     focus_sigma,
 )
-from agent.reconstruction.views import View, project, stacked, surface_points, to_camera
+from agent.reconstruction.views import VIEW_SIGMA, View, diagonal_prior, project, stacked, surface_points, to_camera
 from tests.reconstruction.a_plane import CAMERA, some_views
 
 RNG = np.random.default_rng(11)
@@ -117,6 +116,15 @@ def test_views_of_a_robot_share_their_error() -> None:
     difference = covariance[both[0], both[0]][:3, :3].trace() - covariance[both[0], both[1]][:3, :3].trace()
     assert difference < 0.2 * own[:3].sum()
     assert own[3:].min() > VIEW_SIGMA[1] ** 2
+
+
+def test_a_robot_that_swims_is_wrong_anew_in_each_view() -> None:
+    fixed, alone = diagonal_prior(1e-4, 1e-4), diagonal_prior(np.radians(1.0), 5e-3)
+    views = [replace(view, pose_covariance=fixed, own_covariance=alone) for view in some_views()]
+    errors = errors_of(views).toarray()
+    covariance = errors @ errors.T
+    assert np.allclose(covariance[:6, :6], alone, atol=1e-6)
+    assert np.abs(covariance[:6, 6:12]).max() < 1e-2 * alone.min(where=alone > 0, initial=1.0)
 
 
 def test_a_robots_focus_is_wrong_in_all_of_its_depths_together() -> None:

@@ -3,12 +3,13 @@
 import math
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
 from agent.core.codec import decode
 from agent.core.config import ConfigError
-from agent.core.step_io import Outputs, SweepOutcome
+from agent.core.step_io import Outputs, Sighting, SweepOutcome
 from agent.reconstruction.refine_poses import DEPTH_M, LEVEL_RAD, Sigmas, covariance_of
 from agent.reconstruction.sources import aligned, recorded_views
 from agent.reconstruction.views import rotation_of, see, surface_points
@@ -49,13 +50,33 @@ def test_frames_without_a_target_are_laid_on_each_other_by_what_they_show() -> N
         for f in frames
     ]
     sizes = {f.roi[2:] for f in frames}
-    by_target, by_picture = aligned(frames, -1), aligned(blind, -1)
+    by_target, by_picture = aligned(frames), aligned(blind)
     assert by_target is not None
     if len(sizes) == 1:
         assert by_picture is not None
-        assert np.abs(np.array(by_picture[1]) - by_target[1]).max() < 40
+        assert np.abs(np.array(by_picture.corners_px) - by_target.corners_px).max() < 40
     else:  # parts of different sizes cannot be registered: said, not guessed
         assert by_picture is None
+
+
+def test_a_view_of_a_robot_that_drifts_is_of_where_it_was_when_its_frames_were_clear() -> None:
+    rng = np.random.default_rng(5)
+    noise = np.kron(rng.normal(0, 1, (50, 63)), np.ones((8, 8)))
+    wide = np.asarray(cv2.normalize(noise, None, 0, 255, cv2.NORM_MINMAX), np.uint8)
+    blurs_px, shifts_px = (4.0, 2.0, 0.5, 2.0, 4.0), ((0, 0), (2, 1), (4, 3), (7, 4), (9, 6))
+    frames = [
+        SweepFrame(
+            cv2.cvtColor(cv2.GaussianBlur(wide, (0, 0), blur_px)[y : y + 300, x : x + 400], cv2.COLOR_GRAY2BGR),
+            (120, 90, 400, 300),
+            Sighting(t_ns=0, frame=0, focus=0, target="ball", found=False),
+        )
+        for blur_px, (x, y) in zip(blurs_px, shifts_px, strict=True)
+    ]
+    cut = aligned(frames)
+    assert cut is not None and cut.clearest == 2
+    there = np.array(cut.corners_px[2]) - (120, 90)
+    assert np.abs(there - (9 - 4, 6 - 3)).max() <= 1  # what all show begins where the last one's picture does
+    assert all(image.shape == cut.images[0].shape for image in cut.images)
 
 
 def _fields(sighting: object) -> dict[str, object]:

@@ -248,5 +248,5 @@ def noisy(views: Sequence[View], seed: int) -> list[View]:
 def _off(view: View, turn: Floats, shift: Floats, middle: Floats, rng: np.random.Generator) -> View:
     there = moved_about(view, middle, turn, shift)
     w, t = rng.normal(0.0, OWN[1], 3), rng.normal(0.0, OWN[0], 3)
-    both = math.hypot(SHARED[1], OWN[1]), math.hypot(SHARED[0], OWN[0])
-    return replace(moved(there, w, t), pose_covariance=diagonal_prior(*both))
+    shared, own = (diagonal_prior(angle_rad, place_m) for place_m, angle_rad in (SHARED, OWN))
+    return replace(moved(there, w, t), pose_covariance=shared, own_covariance=own)
