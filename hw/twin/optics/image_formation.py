@@ -112,7 +112,8 @@ LEVELS = 2  # of halving: circles up to 4 * COARSE in radius
 SEGMENT = 32  # pixels of a row that share their sums
 
 FINE_PX, COARSE_PX = np.float32(FINE), np.float32(COARSE)
-QUARTER, NEAR, TWO = np.float32(0.25), np.float32(0.75), np.float32(2)
+EIGHTH, QUARTER, HALF, NEAR, TWO = (np.float32(share) for share in (0.125, 0.25, 0.5, 0.75, 2))
+TINY = np.float32(1e-12)
 
 
 def circle_gain(lens: Lens, image_distance_m: float) -> float:
@@ -149,40 +150,57 @@ class Circle(NamedTuple):
     largest_px: F
 
 
+class Confusion(NamedTuple):
+    """What the lens makes of a point, as the covariance of an ellipse [[r^2 / 4 + x, y], [y, r^2 / 4 - x]], across the
+    picture and down it: that of a disk, and how it is stretched, (x, y)."""
+
+    radius: Floats  # (h, w) px
+    stretch: Floats  # (h, w, 2) px^2
+
+
 def circles(
     depth_m: Floats, lens: Lens, image_distance_m: float, index: float, largest_px: float, corner: tuple[int, int]
-) -> Floats:
-    """Radius of the circle of confusion, px, at most `largest_px`, of each pixel's z-depth (h, w). corner: of the part
-    in the full frame, its first column and row."""
+) -> Confusion:
+    """Of each pixel's z-depth (h, w), with radii of largest_px at most.
+
+    corner: of the part in the full frame, its first column and row.
+    """
     left_px, top_px = corner[0] - lens.centre_px[0], corner[1] - lens.centre_px[1]
     where = (image_distance_m, lens.pixel_m, lens.port_gap_m, index, lens.k1, lens.k2, *lens.lean, lens.curved_per_m)
     sharp = (circle_gain(lens, image_distance_m), vergence(lens, image_distance_m), largest_px)
-    radius = np.empty_like(depth_m)
-    fill_circles(depth_m, Circle(*map(np.float32, (*where, left_px, top_px, *sharp))), radius)
-    return radius
+    found = Confusion(np.empty_like(depth_m), np.empty((*depth_m.shape, 2), np.float32))
+    fill_circles(depth_m, Circle(*map(np.float32, (*where, left_px, top_px, *sharp))), *found)
+    return found
 
 
 @kernel
-def fill_circles(depth_m: Floats, of: Circle, radius: Floats) -> None:
+def fill_circles(depth_m: Floats, of: Circle, radius: Floats, stretch: Floats) -> None:
     """The window refracts by Snell's law, so rays that leave a point a little apart meet nearer the steeper they are:
-    by cos a / cos w across the plane of incidence, and by the cube of that within it. Clarity is the mean of both
-    gradients' energies, so its peak is the mean of the two vergences."""
+    by cos a / cos w across the plane of incidence, and by the cube of that within it. A point beside the axis becomes
+    an ellipse, which is longer away from the axis or around it."""
     for row in range(depth_m.shape[0]):
         y_m = (of.top_px + np.float32(row)) * of.pixel_m
         for col in range(depth_m.shape[1]):
             x_m = (of.left_px + np.float32(col)) * of.pixel_m
             r2_m2 = x_m * x_m + y_m * y_m
             slope2 = r2_m2 / (of.image_m * of.image_m)
-            stretch = ONE + slope2 * (of.k1 + of.k2 * slope2)
-            tan2 = slope2 * stretch * stretch  # in air
+            magnified = ONE + slope2 * (of.k1 + of.k2 * slope2)
+            tan2 = slope2 * magnified * magnified  # in air
             sin2 = tan2 / (ONE + tan2)
-            across = math.sqrt((ONE - sin2) / (ONE - sin2 / (of.index * of.index)))
-            share = TWO * across * across * across / (across * across + ONE)
+            share2 = (ONE - sin2) / (ONE - sin2 / (of.index * of.index))
+            share = math.sqrt(share2)
             # By so much the sensor is farther there than on the axis; d(1/v) = -dv / v^2, to a thousandth of dv.
             off_m = of.lean_x * x_m + of.lean_y * y_m - of.curved_per_m * r2_m2
-            apparent = of.gap_m + (depth_m[row, col] - of.gap_m) * share / of.index
-            error = of.sharp + off_m / (of.image_m * of.image_m) - ONE / apparent
-            radius[row, col] = min(of.gain * abs(error), of.largest_px)
+            sharp = of.sharp + off_m / (of.image_m * of.image_m)
+            behind_m = (depth_m[row, col] - of.gap_m) * share / of.index
+            around = of.gain * (sharp - ONE / (of.gap_m + behind_m))
+            away = of.gain * (sharp - ONE / (of.gap_m + behind_m * share2))
+            square = HALF * (around * around + away * away)
+            fits = min(of.largest_px * of.largest_px / max(square, TINY), ONE)
+            radius[row, col] = math.sqrt(square * fits)
+            more = EIGHTH * fits * (away * away - around * around) / max(r2_m2, TINY)
+            stretch[row, col, 0] = more * (x_m * x_m - y_m * y_m)
+            stretch[row, col, 1] = TWO * more * x_m * y_m
 
 
 def margin(largest_px: float) -> int:
@@ -311,6 +329,41 @@ def _doubled(coarse: Floats, j: int, i: int, c: int) -> F:
     return NEAR * here + QUARTER * (NEAR * coarse[y2, x, c] + QUARTER * coarse[y2, x2, c])
 
 
+# --- astigmatism: away from the axis the circle is an ellipse ---
+#
+# B + 1/2 (x (B_uu - B_vv) + 2 y B_uv) has the variances of `Confusion`, where B is blurred by disks. The two half axes
+# differ by half a pixel at most, so that one step is enough. Differences are taken over a pixel of the level that B
+# comes from.
+
+ROUND = np.float32(1e-3)  # px^2: what is stretched by less is a disk
+STRETCH_REACH = 1 << LEVELS  # pixels to each side that a pixel is stretched by
+
+
+def is_round(stretch: Floats) -> bool:
+    """Whether no pixel is stretched."""
+    return not len(stretch) or bool(np.abs(stretch).max() <= ROUND)
+
+
+@kernel
+def stretched(blurred: Floats, radius: Floats, stretch: Floats, left: int, top: int, out: Floats) -> None:
+    """Fill out (h, w, 3), the part of the blurred picture from (left, top) on. What is around it counts."""
+    for row in range(out.shape[0]):
+        for col in range(out.shape[1]):
+            j, i = top + row, left + col
+            x, y, r = stretch[j, i, 0], stretch[j, i, 1], radius[j, i]
+            if abs(x) <= ROUND and abs(y) <= ROUND:
+                for c in range(3):
+                    out[row, col, c] = blurred[j, i, c]
+                continue
+            h = 1 if r <= COARSE_PX else 2 if r <= TWO * COARSE_PX else STRETCH_REACH
+            along, askew = HALF * x / np.float32(h * h), QUARTER * y / np.float32(h * h)
+            for c in range(3):
+                straight = blurred[j, i + h, c] + blurred[j, i - h, c] - blurred[j + h, i, c] - blurred[j - h, i, c]
+                falling = blurred[j + h, i + h, c] + blurred[j - h, i - h, c]
+                rising = blurred[j + h, i - h, c] + blurred[j - h, i + h, c]
+                out[row, col, c] = blurred[j, i, c] + along * straight + askew * (falling - rising)
+
+
 # --- sensor: photon and read noise, a 12-bit converter, gamma, 8 bits ---
 #
 # The noise of a pixel is a function of (seed, robot, tick, pixel) alone: what else was read does not change it.
@@ -321,7 +374,7 @@ ADC = 4095  # largest code
 GAMMA = 2.2
 
 INVERSE_WELL, READ_VARIANCE = np.float32(1 / FULL_WELL), np.float32(READ_NOISE**2)
-FULL_SCALE, HALF = np.float32(ADC), np.float32(0.5)
+FULL_SCALE = np.float32(ADC)
 # Steele, Lea and Flood 2014 (SplitMix64): one 64-bit hash a pixel, 12 bits a colour.
 GOLDEN, MIX1, MIX2 = np.uint64(0x9E3779B97F4A7C15), np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB)
 S24, S27, S30, S31, S40 = (np.uint64(bits) for bits in (24, 27, 30, 31, 40))

@@ -19,6 +19,7 @@ from agent.core.config import Tank
 from hw.twin.optics import raycast
 from hw.twin.optics.image_formation import (
     METERING_STEP_PX,
+    STRETCH_REACH,
     During,
     Exposure,
     blur,
@@ -26,11 +27,13 @@ from hw.twin.optics.image_formation import (
     coarse,
     expose,
     gamma_curve,
+    is_round,
     margin,
     meter,
     noise_key,
     normal_quantiles,
     parts_of,
+    stretched,
 )
 from hw.twin.optics.lamps import LampTables, add_lamps, lamp_tables
 from hw.twin.optics.lens import Lens
@@ -162,13 +165,15 @@ class Painter:
             raise RuntimeError("call prepare() before the first frame")
         x, y, width, height = part = self._part(roi)
         view = self._view(middle, image_distance_m)
-        x0, y0, w0, h0 = grown(part, margin(LARGEST_PX))
+        x0, y0, w0, h0 = grown(part, margin(LARGEST_PX) + STRETCH_REACH)
         depth, identity = traced(view, (x0, y0, w0, h0))
-        radius = circles(depth, self._lens, image_distance_m, self._index, LARGEST_PX, (x0, y0))
+        radius, stretch = circles(depth, self._lens, image_distance_m, self._index, LARGEST_PX, (x0, y0))
 
         # Tracing is cheap and tells how much of the surroundings the blur really needs.
         inside = np.s_[y - y0 : y - y0 + height, x - x0 : x - x0 + width]
-        x1, y1, w1, h1 = around = grown(part, margin(float(radius[inside].max())))
+        reach = 0 if is_round(stretch[inside]) else STRETCH_REACH
+        beside = np.s_[y - y0 - reach : y - y0 + height + reach, x - x0 - reach : x - x0 + width + reach]
+        x1, y1, w1, h1 = around = grown(part, margin(float(radius[beside].max())) + reach)
         needed = np.s_[y1 - y0 : y1 - y0 + h1, x1 - x0 : x1 - x0 + w1]
         radius = np.ascontiguousarray(radius[needed])
 
@@ -185,8 +190,10 @@ class Painter:
             if finer > parts:
                 self._smear(picture, during, finer, image_distance_m, around)
 
-        left, top, right, bottom = x - x1, y - y1, x - x1 + width, y - y1 + height
-        return np.ascontiguousarray(blur(picture, radius, (left, top, right, bottom))[top:bottom, left:right])
+        left, top, light = x - x1, y - y1, np.empty((height, width, 3), np.float32)
+        blurred = blur(picture, radius, (left - reach, top - reach, left + width + reach, top + height + reach))
+        stretched(blurred, radius, np.ascontiguousarray(stretch[needed]), left, top, light)
+        return light
 
     def develop(self, light: Floats, exposure: Exposure, roi: Part | None = None, tick: int = 0) -> Image:
         """The bytes of the frame numbered `tick`, or of its part `roi`, of what `light` has found there."""

@@ -5,7 +5,16 @@ import math
 import numpy as np
 import pytest
 
-from hw.twin.optics.image_formation import apparent_m, blur, circle_gain, circles, margin, vergence
+from hw.twin.optics.image_formation import (
+    ROUND,
+    apparent_m,
+    blur,
+    circle_gain,
+    circles,
+    margin,
+    stretched,
+    vergence,
+)
 from hw.twin.optics.lens import draw_lens
 from hw.twin.scene import generator
 
@@ -80,7 +89,7 @@ def test_sharp_exactly_where_the_vergences_meet(gap_m):
         v = lens.image_m(1 / apparent_m(u, n, gap_m))
         axis = round(lens.centre_px[0]), round(lens.centre_px[1])
         radius = np.array(
-            [circles(np.full((1, 1), s * u, np.float32), lens, v, n, 14.0, axis)[0, 0] for s in (0.9, 1.0, 1.1)]
+            [circles(np.full((1, 1), s * u, np.float32), lens, v, n, 14.0, axis).radius[0, 0] for s in (0.9, 1.0, 1.1)]
         )
         assert radius[1] < 1e-4
         assert radius[[0, 2]].min() > 0.05
@@ -88,4 +97,47 @@ def test_sharp_exactly_where_the_vergences_meet(gap_m):
 
 
 def test_largest_circle_is_a_bound():
-    assert circles(np.full((1, 1), 0.01, np.float32), LENS, LENS.at_rest_m, 1.333, 14.0, (0, 0)) == 14.0
+    found = circles(np.full((1, 1), 0.01, np.float32), LENS, LENS.at_rest_m, 1.333, 14.0, (0, 0))
+    assert found.radius == pytest.approx(14.0)
+
+
+def ellipse(away_px, around_px, towards_rad):
+    """Radius and stretch of an ellipse with a half axis of `away_px` in a direction."""
+    more = (away_px**2 - around_px**2) / 8
+    stretch = more * np.cos(2 * towards_rad), more * np.sin(2 * towards_rad)
+    return math.sqrt((away_px**2 + around_px**2) / 2), np.array(stretch, np.float32)
+
+
+@pytest.mark.parametrize("away_px, around_px", [(1.3, 1.0), (0.2, 0.6), (3.0, 2.6), (5.4, 5.0), (10.5, 10.0)])
+@pytest.mark.parametrize("towards_deg", [0.0, 30.0, 90.0, 155.0])
+def test_a_point_becomes_an_ellipse_of_these_half_axes(away_px, around_px, towards_deg):
+    radius_px, stretch = ellipse(away_px, around_px, math.radians(towards_deg))
+    blurred = np.repeat(phases(radius_px)[..., None], 3, 2).astype(np.float32)
+    out = np.empty((SIDE - 8, SIDE - 8, 3), np.float32)
+    everywhere = np.full((SIDE, SIDE), radius_px, np.float32), np.broadcast_to(stretch, (SIDE, SIDE, 2)).copy()
+    stretched(blurred, *everywhere, 4, 4, out)
+    w, offset = out[..., 0].astype(float), np.arange(SIDE - 8) - (SIDE // 2 - 4)
+    assert w.sum() == pytest.approx(1, abs=2e-3)
+    covariance = np.array([[(w.sum(0) * offset**2).sum(), (offset @ w @ offset)], [0, (w.sum(1) * offset**2).sum()]])
+    covariance[1, 0] = covariance[0, 1]
+    direction = np.array([math.cos(math.radians(towards_deg)), math.sin(math.radians(towards_deg))])
+    along, across = direction @ covariance @ direction, np.array([-1, 1]) * direction[::-1]
+    assert along - across @ covariance @ across == pytest.approx((away_px**2 - around_px**2) / 4, rel=0.03)
+    assert np.trace(covariance) == pytest.approx(radius_px**2 / 2, rel=0.04)
+
+
+def test_a_window_makes_rays_within_the_plane_of_incidence_meet_nearer():
+    """Coddington's equations for a flat surface, by lengths along rays: both images of a point beside the axis."""
+    lens, n, u = LENS._replace(port_gap_m=5e-3, k1=0.0, k2=0.0), 1.333, 0.4
+    corner = round(lens.centre_px[0]) + 250, round(lens.centre_px[1])
+    v, depth = lens.image_m(1 / apparent_m(u, n, 5e-3)), np.full((1, 1), u, np.float32)
+    radius, stretch = (each[0, 0] for each in circles(depth, lens, v, n, 14.0, corner))
+    air = math.atan((corner[0] - lens.centre_px[0]) * lens.pixel_m / v)
+    water = math.asin(math.sin(air) / n)
+    ray_m = (u - 5e-3) / math.cos(water)  # in water
+    images_m = [5e-3 + math.cos(air) * ray_m / n * k for k in (1.0, (math.cos(air) / math.cos(water)) ** 2)]
+    around, away = (circle_gain(lens, v) * (vergence(lens, v) - 1 / z_m) for z_m in images_m)
+    expected = ellipse(away, around, math.atan2(corner[1] - lens.centre_px[1], corner[0] - lens.centre_px[0]))
+    assert radius == pytest.approx(expected[0], rel=1e-3)
+    assert stretch == pytest.approx(expected[1], rel=5e-3, abs=1e-4)
+    assert stretch[0] > ROUND
