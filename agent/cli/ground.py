@@ -381,7 +381,7 @@ def board(
         typer.Option("--set", metavar="NAME=VALUE", help="params: set this one and save it; again for more."),
     ] = None,
     depth: Annotated[
-        float | None, typer.Option(metavar="M", help="tare: how deep the sensors are; 0, in air, if not given.")
+        float | None, typer.Option(metavar="M", help="tare: how deep the sensors are; in air if not given.")
     ] = None,
     no_hands: Annotated[
         bool, typer.Option("--no-hands", help="check: thrusters alone, nobody turns the switch or presses corners.")
@@ -421,4 +421,4 @@ def board(
     if order == "prompt":
         board_update.prompt(fleet, robot, complain, bench.LIMIT_S)
         return
-    bench.run(order, fleet, robot, complain, bench.numbers(set_ or ()), depth or 0.0, not no_hands)
+    bench.run(order, fleet, robot, complain, bench.numbers(set_ or ()), depth, not no_hands)

@@ -7,6 +7,7 @@ firmware: board_update.py.
 from __future__ import annotations
 
 import itertools
+import statistics
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import Future
 from contextlib import contextmanager
@@ -36,6 +37,7 @@ BoardOrder = Literal["info", "tare", "check", "params", "reboot"]
 LIMIT_S = 10.0  # of the clock: to be greeted, to be answered, and to be greeted again
 WORDS_S = 1.0  # a board that is greeted tells what is wrong with this boot
 LOOK_S = 0.05
+WEATHER_M = 0.25  # of water: the pressure of air differs by less from day to day
 HANDS_S = 60.0  # a person has to turn a switch, or to press a corner down
 
 CLOCK = 0.01  # share that a board's may differ: in the 20 s that pulses take, frames come late by less
@@ -56,14 +58,15 @@ def run(
     name: str,
     say: Callable[[str], None],
     values: Mapping[str, float] | None = None,
-    depth_m: float = 0.0,
+    depth_m: float | None = None,
     hands: bool = True,
     limit_s: float = LIMIT_S,
 ) -> None:
     """Carry out an order at a robot's module and say what it says. Raises ConfigError, and Failed where it is armed,
     silent, or not as it should be. The port must be free: a robot's agent holds it.
 
-    values: parameters to set and save; depth_m: of the sensors, for a tare; hands: of somebody beside the robot.
+    values: parameters to set and save; depth_m: of the sensors, for a tare; None: they are in air, and read as much;
+    hands: of somebody beside the robot.
     """
     for key, value in (values or {}).items():
         checked_id(key, value)
@@ -136,12 +139,18 @@ class Bench:
         heap = "" if status.heap_free_b is UNSET else f", {status.heap_free_b / 1000:.1f} kB free"
         self._tell(f"battery {newest.battery_v:.2f} V{amperes}{water}; cycle {newest.loop_us / 1000:.1f} ms{heap}")
 
-    def tare(self, depth_m: float) -> None:
-        asked = self._settled(self._board.tare(depth_m))
+    def tare(self, depth_m: float | None) -> None:
+        assert self._newest is not None
+        now_m = statistics.median(self._newest.sensor_depth_m)
+        if depth_m is None and abs(now_m) > WEATHER_M:
+            raise Failed(
+                f"{self._name}: no tare: its sensors read {now_m:+.2f} m by the zero that they have; take it out of "
+                "the water. If it is in air, and the zero of another place or day, say --depth 0"
+            )
+        asked = self._settled(self._board.tare(depth_m or 0.0))
         if not asked.ok:
             raise Failed(f"{self._name}: no tare: {asked.result}; lay it down in air, still, its motors off")
         self._until(lambda: False, 2 * LOOK_S)
-        assert self._newest is not None
         depths_m = self._newest.sensor_depth_m
         self._tell("tared; sensors now " + " ".join(f"{depth:.3f}" for depth in depths_m) + " m")
 

@@ -155,3 +155,7 @@ def test_info_tare_and_params(at_desk):
     desk.pressure_pa[2] += 5000.0
     with pytest.raises(Failed, match="no tare: refused; lay it down in air"):
         board.run("tare", path, "r1", said.append)
+    desk.pressure_pa = [AIR_PA + 4000.0] * 4
+    with pytest.raises(Failed, match=r"no tare: its sensors read \+0.4\d m .* say --depth 0"):
+        board.run("tare", path, "r1", said.append)
+    board.run("tare", path, "r1", said.append, depth_m=0.0)

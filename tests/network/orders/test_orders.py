@@ -121,7 +121,7 @@ def test_one_that_is_not_there_is_named(loops) -> None:
     with_third = replace(fleet, robot={**fleet.robot, "r3": replace(fleet.robot["r1"], listen="tcp/127.0.0.1:29499")})
     with OrderConsole(with_third, "ann") as ann:
         outcomes = ann.order(["r3"], "stop", heard_s=0.3)
-        assert "was not heard" in outcomes["r3"].why
+        assert "was not heard in 0.3 s, and was told nothing" in outcomes["r3"].why
 
 
 def test_a_stop_needs_no_state(loops) -> None:
