@@ -222,7 +222,7 @@ FRAME_US = 1e5  # from frame to frame of a slow camera: its rows are read within
 VALID_S, VALID = 5.0, 10.0  # what a slow network needs, s, and iterations
 UNITS = {"m": "metres", "deg": "degrees", "us": "microseconds", "s": "seconds", "px": "pixels"}
 BESIDE_M = 0.1  # between the middles of two robots: nearer, one is where the other is
-UNDER_M = 0.05  # what a robot has below its middle, at least
+UNDER_M = 0.08  # what a robot has below its middle: half of the hull in the twin
 MIRRORED = frozenset({186, 314, 487, 548})  # tags that read as another in the mirror of the surface
 
 
