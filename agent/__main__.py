@@ -11,6 +11,7 @@ import os
 import re
 import signal
 import sys
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 import typer
@@ -69,6 +70,15 @@ def command_line() -> Any:
     return line
 
 
+def empty_argument(arguments: Sequence[str]) -> str | None:
+    """One line for an argument of nothing, which would be taken for the folder where we are; None: there is none."""
+    for before, argument in zip(["", *arguments], arguments, strict=False):
+        if not argument or re.fullmatch("--[a-z-]+=", argument):
+            where = argument[:-1] or (before if before.startswith("-") else "an argument")
+            return f"aucamp: {where}: is empty; write what is meant, or leave it out\n"
+    return None
+
+
 CHOICE = re.compile(r"'([^']+)' is not one of (.+)")  # typer's words for a choice that is none
 
 
@@ -99,6 +109,9 @@ def main() -> None:
         if signal.getsignal(number) is signal.SIG_DFL:  # nohup has it ignored, and means it
             signal.signal(number, leave)
     exit_with_parent()
+    if (empty := empty_argument(sys.argv[1:])) is not None:
+        sys.stderr.write(empty)
+        sys.exit(2)
     try:
         sys.exit(command_line()(prog_name="aucamp", standalone_mode=False))  # else typer draws a box around its errors
     except Leaving as leaving:

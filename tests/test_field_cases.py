@@ -39,7 +39,7 @@ TABLE = [
     ("08-*/bom.toml", ["check", "SOURCE"], 0, "fleet 'tank3' of r1, r2"),
     ("09-*/metres.csv", ["calibrate", "focus", "SOURCE", "--out", "r1.toml"], 2, "is u_mm in metres"),
     ("09-*/inches.csv", ["calibrate", "focus", "SOURCE", "--out", "r1.toml"], 2, "is u_mm in inches"),
-    ("09-*/mm_units.toml", ["check", "SOURCE"], 0, "1500 x 1200 x 800 m is no tank; are they mm"),
+    ("09-*/mm_units.toml", ["check", "SOURCE"], 0, "tank.size_m: 1500; 0.1 to 60 are usual: write metres"),
     ("10-*/*pad*.mcap", ["replay", "info", "SOURCE"], 0, "whole, but not written by Aucamp"),
     ("10-*/*lz4.mcap", ["replay", "info", "SOURCE"], 0, "whole, but not written by Aucamp"),
     ("11-*/folder", ["tags", "SOURCE"], 1, "is AVIF.*is HEIC.*is JPEG 2000.*is GIF"),

@@ -136,6 +136,8 @@ def snapshot(
     robots = load_fleet(fleet)
     load_robot(robots, robot, fleet)
     path = new_file(out or Path(f"{robot}.jpg"))
+    if path.suffix.lower() not in (".jpg", ".jpeg"):
+        raise ConfigError(f"--out {path}: a robot shows JPEGs; give it a name that ends in .jpg")
     image = next_picture(robots, robot, credentials(robots, LOOKER, fleet))
     write_whole(path, image.jpeg)
     typer.echo(about(path, image))

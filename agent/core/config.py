@@ -31,6 +31,7 @@ Cues = Literal["both", "focus", "size"]
 MainsHz = Literal[50, 60]
 Face = Literal["x0", "x1", "y0", "y1", "floor"]  # walls at x = 0 and the far end of x, likewise y
 WaterKind = Literal["air", "tap", "pool", "coastal", "turbid"]
+CameraPreset = Literal["imx519_640", "binned_640", "crop_1280", "fixed_640"]  # hw.twin.optics.lens has their figures
 Coefficient = Annotated[float, Meta(gt=0, le=20)]
 Bands = tuple[Coefficient, Coefficient, Coefficient]  # blue, green, red
 
@@ -316,7 +317,7 @@ class Twin(Struct, frozen=True, kw_only=True):
     """Only the twin reads this: which scene, which world of that scene, where its sockets are."""
 
     scene: str = "tank"
-    camera: str | None = None  # preset of hw.twin.optics.lens; none: the scene's
+    camera: CameraPreset | None = None  # none: the scene's
     # faults of all cameras, on the bench and in the dive
     stamp_late_ms: Annotated[float, Meta(ge=0, le=200)] = 0.0  # by which frames are stamped after they were exposed
     lens_slow_ms: Annotated[float, Meta(ge=0, le=500)] = 0.0  # in which the lens goes 95 % of its way
@@ -488,21 +489,31 @@ def check_numbers(found: Any, what: object) -> None:
         raise ConfigError(f"{what}: key '{key}': {remedy}")
 
 
-def odd_numbers(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """Such numbers as (key, what to change)."""
-    if isinstance(value, dict):
-        for name, child in value.items():
-            yield from odd_numbers(child, f"{key}.{name}" if key else str(name))
-    elif isinstance(value, list | tuple):
-        for i, child in enumerate(value):
-            yield from odd_numbers(child, f"{key}[{i}]")
-    elif isinstance(value, int | float) and not isinstance(value, bool):
-        unit = key.partition("[")[0].rpartition("_")[2]
-        most = LARGEST.get(unit, LARGEST_SEED if isinstance(value, int) else LARGEST_OF_ALL)
+def odd_numbers(found: Any) -> Iterator[tuple[str, str]]:
+    """Such numbers of what msgspec made of a struct, as (key, what to change)."""
+    for key, value in numbers_in(found):
+        most = LARGEST.get(unit_of(key), LARGEST_SEED if isinstance(value, int) else LARGEST_OF_ALL)
         if not math.isfinite(value):
             yield key, "not a finite number; correct the value"
         elif abs(value) > most:
             yield key, f"{value:.3g} is beyond {most:.3g}, the largest that can be; correct the value"
+
+
+def numbers_in(value: Any, key: str = "") -> Iterator[tuple[str, float]]:
+    """Every number below a key, with a key of its own, such as body.camera_m[0]."""
+    if isinstance(value, dict):
+        for name, child in value.items():
+            yield from numbers_in(child, f"{key}.{name}" if key else str(name))
+    elif isinstance(value, list | tuple):
+        for i, child in enumerate(value):
+            yield from numbers_in(child, f"{key}[{i}]")
+    elif isinstance(value, int | float) and not isinstance(value, bool):
+        yield key, value
+
+
+def unit_of(key: str) -> str:
+    """The end of its name: m of body.camera_m[0]."""
+    return key.partition("[")[0].rpartition("_")[2]
 
 
 # --- what is wrong in a TOML file ---

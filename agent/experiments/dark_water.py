@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.capabilities.light.allocate import Lamp, Scene
-from agent.core.config import Lighting, Tank, WaterOptics
+from agent.core.config import CameraPreset, Lighting, Tank, WaterOptics
 from agent.core.messages import Vector
 from agent.core.ranging.focus import Peak, fit_peak
 from agent.experiments.still_camera import mm_per_position
@@ -37,7 +37,7 @@ WATERS: dict[str, WaterOptics] = {
 TANK = Tank(size_m=(8.0, 8.0, 4.0), surface_m=4.0)  # so large that its walls stay dark
 BALL_M, RADIUS_M = (4.0, 4.0, 2.0), 0.07
 INDEX = 1.333
-SENSOR = "imx519_640"
+SENSOR: CameraPreset = "imx519_640"
 BODY_BEHIND_M, BESIDE_M = 0.10, 0.12  # hull's middle behind the camera, lamp to its left
 POSITIONS = 30  # of a sweep, over the whole range
 ACCEPTED = 0.5  # of the developed sweeps: with fewer there is no sigma

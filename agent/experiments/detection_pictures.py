@@ -1,7 +1,7 @@
 """How good is detection in a user's own water? Every picture of a folder is searched for balls of every colour.
 
 Orange is what the rules of a known contest call its red buoy: red found where orange is marked, or the other way
-round, is neither found nor false.
+round, is neither found nor false. Where neither is marked, what is found as both is one false ball.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from typing import NamedTuple, get_args
 
 import msgspec
 
-from agent.core.config import Colour, ConfigError
+from agent.core.config import Colour, ConfigError, read_file
+from agent.core.picture_head import stated_size
 from agent.core.ranging.camera_model import CameraFit
 from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, Value
 from agent.perception.detection.detect import Ball, find_balls
 from hw.camera.camera import Image
-from hw.camera.files import picture_files, read_picture
+from hw.camera.files import MOST_BYTES, picture_files, read_picture
 
 # --- a folder of pictures and its truth.csv ---
 # truth.csv says where in the pictures the balls are. One row a ball: `file`, `colour`, `u_px`, `v_px`, `radius_px`, and
@@ -50,9 +51,14 @@ def marked_pictures(folder: Path) -> list[tuple[Path, list[MarkedBall]]]:
     table = folder / NAME
     if table.exists():
         for line, row in _rows(table):
-            if row["file"] not in marked:
-                raise ConfigError(f"{table}: line {line}: no picture '{row['file']}' beside it; correct the name")
-            marked[row["file"]].append(_ball(row, f"{table}: line {line}"))
+            where, name = f"{table}: line {line}", row["file"]
+            if name not in marked:
+                raise ConfigError(f"{where}: no picture '{name}' beside it; correct the name")
+            ball, size = _ball(row, where), stated_size(read_file(folder / name, MOST_BYTES))
+            if size is not None and not _shows(ball, size):
+                text = f"nothing of the ball is in {name}, of {size[0]}x{size[1]} pixels"
+                raise ConfigError(f"{where}: {text}; correct u_px, v_px or radius_px")
+            marked[name].append(ball)
     return [(path, marked[path.name]) for path in pictures]
 
 
@@ -84,6 +90,11 @@ def _ball(row: Mapping[str, str], where: str) -> MarkedBall:
     if tolerance_px < 0.0:
         raise ConfigError(f"{where}: tol_px is {row['tol_px']}; write 0 or more, or leave it empty")
     return MarkedBall(colour, (numbers["u_px"], numbers["v_px"]), numbers["radius_px"], tolerance_px)
+
+
+def _shows(ball: MarkedBall, size: tuple[int, int]) -> bool:
+    """Whether some of it is in a picture of that width and height, pixels."""
+    return all(-ball.radius_px < at < side - 1 + ball.radius_px for at, side in zip(ball.centre_px, size, strict=True))
 
 
 def _number(text: str, where: str) -> float:
@@ -118,7 +129,7 @@ class Seen(NamedTuple):
 
 
 def look(image: Image, marked: Sequence[MarkedBall]) -> Seen:
-    """One picture, searched for each colour."""
+    """One picture, searched for each colour. What is false to two colours that are alike is false once."""
     camera = pinhole(image.shape[1], image.shape[0])
     outcomes: list[Outcome] = []
     false: list[tuple[Colour, Ball]] = []
@@ -128,7 +139,8 @@ def look(image: Image, marked: Sequence[MarkedBall]) -> Seen:
         taken = matches(own, balls)
         outcomes += [Outcome(one, taken.get(k)) for k, one in enumerate(own)]
         excused = [ball for ball in marked if ball.colour == colour or {ball.colour, colour} <= ALIKE]
-        false += [(colour, ball) for ball in balls if not any(distance(one, ball) <= 1.0 for one in excused)]
+        known = [*excused, *(MarkedBall(c, b.centre_px, b.radius_px) for c, b in false if {c, colour} <= ALIKE)]
+        false += [(colour, ball) for ball in balls if not any(distance(one, ball) <= 1.0 for one in known)]
     return Seen(outcomes, false)
 
 

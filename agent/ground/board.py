@@ -426,10 +426,12 @@ def faults_of(leans_m: NDArray[np.float64]) -> Sequence[str]:
 
 
 def numbers(texts: Sequence[str]) -> dict[str, float]:
-    """NAME=VALUE, as typed. Raises ConfigError."""
-    found = {}
+    """NAME=VALUE, as typed, each name once. Raises ConfigError."""
+    found: dict[str, float] = {}
     for text in texts:
         key, equals, value = text.partition("=")
+        if key in found:
+            raise ConfigError(f"--set '{text}': {key} is given twice; write it once")
         try:
             found[key] = float(value)
         except ValueError:

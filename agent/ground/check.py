@@ -24,6 +24,7 @@ from agent.ground.check_files import (
     files_finding,
     is_here,
     key_findings,
+    liar_findings,
     links,
     loopback_findings,
     place_findings,
@@ -215,6 +216,7 @@ def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
     yield from target_findings(fleet)
     yield from unit_findings(fleet)
     yield from place_findings(fleet)
+    yield from liar_findings(fleet)
     yield from enhancement_findings(fleet)
     if fleet.access.keys is None:
         yield Finding("ok", "fleet", "signs nothing: [access] names no keys")

@@ -11,7 +11,7 @@ import math
 import os
 import resource
 import shutil
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from functools import partial
 from importlib.util import find_spec
@@ -19,14 +19,16 @@ from pathlib import Path
 from shlex import quote
 from typing import Literal, NamedTuple
 
+import msgspec
 from cryptography import x509
 from cryptography.exceptions import InvalidSignature
 
-from agent.core.config import ConfigError, Fleet, Target, to_install
+from agent.core.config import ConfigError, Fleet, Goto, Target, numbers_in, to_install, unit_of
+from agent.core.estimation.fuse import PAIRS
 from agent.perception.detection.detectors import colours_too_alike, creature_hues, sought, target_picture
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import check_box, load_box_tracker, model_files
-from agent.process.agent_process import own_calibration
+from agent.process.agent_process import STEP_NS, own_calibration
 from agent.process.certificates import (
     AUTHORITY,
     certificate_file,
@@ -200,55 +202,89 @@ def target_findings(fleet: Fleet) -> Iterator[Finding]:
         yield from (Finding("warning", "fleet", line) for line in colours_too_alike(fleet))
 
 
-# What tanks, targets and tags have; beyond it a number is rarely meant so.
-LONGEST_M, SHORTEST_M = 60.0, 0.2
-RADIUS_M, TAG_M = (0.005, 0.5), (0.01, 1.0)
-SIGMA_M = 0.1  # of what a laboratory has surveyed
-TURN_DEG = 180.0  # of a gimbal, to either side
+# What tanks, robots and cameras have, least and most; beyond it a number is rarely meant so.
+USUAL: Mapping[str, tuple[float, float]] = {
+    "tank.size_m": (0.1, 60.0),
+    "landmarks.size_m": (0.01, 1.0),
+    # of what a laboratory has surveyed
+    **{f"budget.{key}_m": (0.0, 0.1) for key in ("level", "survey", "place", "height")},
+    **{f"budget.{key}_deg": (0.0, 30.0) for key in ("heading", "attitude")},
+    "body.camera_m": (-1.0, 1.0),
+    "body.servo_centre_us": (500.0, 2500.0),
+    **{f"body.{axis}_limit_deg": (-180.0, 180.0) for axis in ("pan", "tilt")},
+    **{f"camera.{side}_px": (64.0, 16000.0) for side in ("width", "height")},
+    "camera.settle_s": (0.0, 3.0),
+    "camera.sweep_steps": (8.0, 300.0),
+    "estimation.iteration_s": (STEP_NS * 1e-9, 60.0),
+}
+RADIUS_M = 0.005, 0.5
+FRAME_US = 1e5  # from frame to frame of a slow camera: its rows are read within
+VALID_S, VALID = 5.0, 10.0  # what a slow network needs, s, and iterations
+UNITS = {"m": "metres", "deg": "degrees", "us": "microseconds", "s": "seconds", "px": "pixels"}
 BESIDE_M = 0.1  # between the middles of two robots: nearer, one is where the other is
+UNDER_M = 0.08  # what a robot has below its middle: half of the hull in the twin
 MIRRORED = frozenset({186, 314, 487, 548})  # tags that read as another in the mirror of the surface
+
+
+def usual(fleet: Fleet) -> Mapping[str, tuple[float, float]]:
+    """USUAL, and what depends on other numbers of the file."""
+    sizes = {f"target.{name}.radius": one.radius_m for name, one in fleet.target.items() if one.radius_m}
+    return {
+        **USUAL,
+        "camera.row_time_us": (0.0, FRAME_US / fleet.camera.height_px),
+        "estimation.validity_s": (0.0, max(VALID_S, VALID * fleet.estimation.iteration_s)),
+        **{f"{key}_m": RADIUS_M for key in sizes},
+        **{f"{key}_sigma_m": (0.0, 0.5 * radius_m) for key, radius_m in sizes.items()},
+    }
 
 
 def unit_findings(fleet: Fleet) -> Iterator[Finding]:
     """Numbers that are in another unit than their names say, probably."""
-    size_m = fleet.tank.size_m
-    text = " x ".join(f"{length:g}" for length in size_m)
-    if max(size_m) > LONGEST_M:
-        unit = "mm" if max(size_m) >= 1e3 else "cm"
-        yield Finding("warning", "fleet", f"tank.size_m: {text} m is no tank; are they {unit}? Write metres")
-    elif max(size_m) < SHORTEST_M:
-        yield Finding("warning", "fleet", f"tank.size_m: {text} m is no tank; write metres")
-    sizes = {f"target.{name}.radius_m": (one.radius_m, RADIUS_M) for name, one in fleet.target.items() if one.radius_m}
-    if fleet.landmarks is not None:
-        sizes["landmarks.size_m"] = fleet.landmarks.size_m, TAG_M
-    for key, (length_m, (least, most)) in sizes.items():
-        if not least <= length_m <= most:
-            yield Finding("warning", "fleet", f"{key}: {length_m:g} m; {least:g} to {most:g} are usual: write metres")
-    for key in ("level_m", "survey_m", "place_m", "height_m"):
-        if (sigma_m := getattr(fleet.budget, key)) > SIGMA_M:
-            yield Finding("warning", "fleet", f"budget.{key}: off by {sigma_m:g} m, typically? Write metres, not mm")
-    for key in ("pan_limit_deg", "tilt_limit_deg"):
-        if max(map(abs, getattr(fleet.body, key))) > TURN_DEG:
-            yield Finding("warning", "fleet", f"body.{key}: no gimbal turns so far; write degrees from straight ahead")
+    limits = usual(fleet)
+    odd: dict[str, float] = {}  # of a key with several numbers, the first
+    for place, value in numbers_in(msgspec.to_builtins(fleet)):
+        key = place.partition("[")[0]
+        least, most = limits.get(key, (-math.inf, math.inf))
+        if not least <= value <= most:
+            odd.setdefault(key, value)
+    for key, first in odd.items():
+        least, most = limits[key]
+        do = f"write {unit}" if (unit := UNITS.get(unit_of(key))) else "correct it"
+        yield Finding("warning", "fleet", f"{key}: {first:g}; {least:g} to {most:g} are usual: {do}")
     yaws = {name: robot.pose.yaw_deg for name, robot in fleet.robot.items() if robot.pose is not None}
     if all(abs(yaw) <= math.tau for yaw in yaws.values()):
-        odd = next((name for name, yaw in yaws.items() if yaw != round(yaw)), None)
-        if odd is not None:
-            text = f"robot.{odd}.pose.yaw_deg: {yaws[odd]:g} degrees; is it in radians? That would be"
-            yield Finding("warning", "fleet", f"{text} {math.degrees(yaws[odd]):.1f} degrees: write degrees")
+        broken = next((name for name, yaw in yaws.items() if yaw != round(yaw)), None)
+        if broken is not None:
+            text = f"robot.{broken}.pose.yaw_deg: {yaws[broken]:g} degrees; is it in radians? That would be"
+            yield Finding("warning", "fleet", f"{text} {math.degrees(yaws[broken]):.1f} degrees: write degrees")
 
 
 def place_findings(fleet: Fleet) -> Iterator[Finding]:
-    """Robots that are in one place, and tags that are better not used."""
+    """Robots that are in one place or lie on the floor, and tags that are better not used."""
     places = [(name, robot.pose, robot.depth_m) for name, robot in fleet.robot.items()]
     for (one, a, a_m), (other, b, b_m) in itertools.combinations(places, 2):
         if math.dist((a.x_m, a.y_m, a_m), (b.x_m, b.y_m, b_m)) < BESIDE_M:
             text = f"{one} and {other} have the same place; correct x_m, y_m or depth_m of one"
             yield Finding("warning", "fleet", text)
+    deepest_m = fleet.tank.surface_m - UNDER_M
+    for name, robot in fleet.robot.items():
+        going = {"behaviour": robot.behaviour.depth_m} if isinstance(robot.behaviour, Goto) else {}
+        for key, depth_m in {"depth_m": robot.depth_m, **going}.items():
+            if depth_m is not None and depth_m > deepest_m:
+                text = f"robot.{name}.{key}: {depth_m:g} m deep, {name} lies on the floor; {deepest_m:g} m or less"
+                yield Finding("warning", "fleet", f"{text} keeps it off")
     used = MIRRORED & {tag.id for tag in fleet.landmarks.tag} if fleet.landmarks is not None else ()
     if used:
         text = f"landmarks.tag: ids {', '.join(map(str, sorted(used)))} can read as others in the mirror of the surface"
         yield Finding("warning", "fleet", f"{text}; put up others")
+
+
+def liar_findings(fleet: Fleet) -> Iterator[Finding]:
+    """Whether there are robots enough to find as many liars as the file asks for."""
+    least, most = PAIRS
+    if fleet.estimation.liars > 1 and not least <= len(fleet.robot) <= most:
+        text = f"estimation.liars: two are found among {least} to {most} robots that see, and there are"
+        yield Finding("warning", "fleet", f"{text} {len(fleet.robot)}; write 1")
 
 
 def ball_sample(name: str, target: Target, size: tuple[int, int]) -> str:
@@ -302,11 +338,12 @@ def enhancement_findings(fleet: Fleet) -> Iterator[Finding]:
 
 
 def disk_finding(folder: Path) -> Finding:
-    """Whether an agent that is started here can record."""
-    if not os.access(folder, os.W_OK):
+    """Whether an agent that is started here can record. A folder that is not there yet is made at its start."""
+    there = next(one for one in (folder.absolute(), *folder.absolute().parents) if one.exists())
+    if not os.access(there, os.W_OK):
         text = f"{folder}: you may not write here, where recordings go; give aucamp agent --out another folder"
         return Finding("wrong", "disk", text)
-    total, _, free = shutil.disk_usage(folder)
+    total, _, free = shutil.disk_usage(there)
     limits = Limits()
     room = free - min(limits.floor_bytes, limits.floor_share * total)  # an agent leaves so much to others
     hours = f"{free / 1e9:.1f} GB free in {folder}: {room / HOUR_BYTES:.0f} hours of one robot's recording"

@@ -32,7 +32,7 @@ from agent.process.certificates import (
 )
 from agent.process.command import shipped_fleet
 from agent.process.keys import PUBLIC, private_file, public_file, write_pair
-from agent.robot.fleet_reader import load_fleet, load_robot
+from agent.robot.fleet_reader import load_fleet
 
 MOST = 10
 FIRST_PORT = 17401
@@ -196,8 +196,9 @@ def make_all(fleet: Fleet, folder: Path, days: float = LEAF_DAYS) -> list[Path]:
 
 def make_one(fleet: Fleet, folder: Path, name: str, path: Path, days: float = LEAF_DAYS) -> list[Path]:
     """What this party lacks: its signing pair, if it is a robot, and its certificate by the authority in the folder."""
-    if not fleet.secured or name not in parties(fleet):
-        load_robot(fleet, name, path)
+    known = parties(fleet) if fleet.secured else list(fleet.robot)
+    if name not in known:
+        raise ConfigError(f"{path}: has no '{name}' to make keys for; it has {', '.join(known)}")
     makers: list[Callable[[], Iterable[Path]]] = []
     if name in fleet.robot and not any(file.exists() for file in _signing(folder, name)):
         makers.append(partial(write_pair, folder, name))

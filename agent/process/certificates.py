@@ -265,8 +265,8 @@ def credentials(fleet: Fleet, name: str, fleet_path: Path) -> Path | None:
     folder = folder.absolute()
     if name not in parties(fleet):
         raise ConfigError(
-            f"{fleet_path}: key 'access.observers': has no '{name}'; add it, and make its certificate with: "
-            f"aucamp keys {quote(str(fleet_path))} --out DIR --only {name}"
+            f"{fleet_path}: [access] has no '{name}'; add it to consoles, who order, or to observers, who look, "
+            f"and make its certificate with: aucamp keys {quote(str(fleet_path))} --out DIR --only {name}"
         )
     if not certificate_file(folder, AUTHORITY).exists():
         raise ConfigError(f"{certificate_file(folder, AUTHORITY)}: no such file; copy it from where the keys were made")

@@ -8,6 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
+from ipaddress import ip_address
 from itertools import combinations
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ import msgspec
 from agent.capabilities.swim.barrier import MARGIN_M, WALL_M
 from agent.capabilities.swim.landmarks import OFF_M, axes, corners, landmarks_of, plane
 from agent.core.config import (
+    Access,
     Behaviour,
     ConfigError,
     Fleet,
@@ -268,11 +271,11 @@ def _device_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
         for key, device in (("serial", robot.serial), ("camera", robot.camera)):
             if device.startswith("twin:") and "/" not in device and device != f"twin:{name}":
                 yield f"robot.{name}.{key}", f"'{device}' is not this robot's; write twin:{name}"
-        address = robot.listen.partition("/")[2]
-        host = address.rpartition(":")[0]
+        host, port = _host_and_port(robot.listen)
         held = [
-            ("listen", address, "port"),
+            ("listen", f"{host} {port}", "port"),
             ("serial", f"{host} {robot.serial.removeprefix('stm32:')}", "control module"),
+            ("calibration", f"{host} {robot.calibration}", "calibration"),
         ]
         if robot.camera.startswith(("twin:", "v4l2:")):  # recorded pictures may be looked at by many
             held.append(("camera", f"{host} {robot.camera}", "camera"))
@@ -283,11 +286,20 @@ def _device_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
             owner[key, what] = name
 
 
+def _host_and_port(endpoint: str) -> tuple[str, str]:
+    """In one spelling of several: this computer's own names for itself are one host. No name is looked up."""
+    host, _, port = endpoint.partition("/")[2].rpartition(":")
+    host = host.strip("[]").lower()
+    with suppress(ValueError):
+        host = str(ip_address(host))
+    return "127.0.0.1" if host in ("localhost", "::1") else host, port.lstrip("0")
+
+
 def _wrong_endpoint(text: str) -> str | None:
     """What is wrong with a Zenoh endpoint, tcp/HOST:PORT or tls/HOST:PORT; None if nothing is."""
     protocol, _, address = text.partition("/")
     host, _, port = address.rpartition(":")
-    if protocol not in ("tcp", "tls") or not host or not port.isdigit():
+    if protocol not in ("tcp", "tls") or not host or not port.isdecimal():
         return f"'{text}' is no endpoint; write tcp/HOST:PORT, or tls/HOST:PORT in a fleet with certificates"
     if host in ("0.0.0.0", "[::]"):
         return f"neighbours dial it, and {host} is no address to dial; write the computer's own"
@@ -316,8 +328,8 @@ def broken_access_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
     for name in secret:
         if "[" in fleet.robot[name].listen:  # Zenoh 1.10.2: the link never comes about, and nothing says why
             yield f"robot.{name}.listen", "no address of IPv6 can be dialled by TLS; write a name, or one of IPv4"
-    if fleet.secured or fleet.access.consoles:  # else no party has a certificate
-        yield from _name_rules(fleet)
+    if fleet.secured or fleet.access.consoles or fleet.access.observers != Access().observers:
+        yield from _name_rules(fleet)  # else no party has a name but robots
 
 
 def _name_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:

@@ -12,7 +12,18 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
-from agent.core.config import Colour, ConfigError, Fleet, Name, Positive, Struct, WaterKind, convert, read_toml
+from agent.core.config import (
+    CameraPreset,
+    Colour,
+    ConfigError,
+    Fleet,
+    Name,
+    Positive,
+    Struct,
+    WaterKind,
+    convert,
+    read_toml,
+)
 from agent.core.messages import Vector
 
 # --- events: what happens in a dive, each at its time and most of it to one robot ---
@@ -296,7 +307,7 @@ class Scene(Struct, frozen=True, kw_only=True):
     # Radiance of the ambient light at the surface: 1 is full scale; in water of known absorption and scattering W/m2/sr
     room_light: Annotated[float, Meta(ge=0)] = 0.5
     white_card: Literal["upright", "lying"] = "upright"  # what the exposure is set by; upright, lying paper burns out
-    camera: str = "imx519_640"  # preset of hw.twin.optics.lens
+    camera: CameraPreset = "imx519_640"
     solid: tuple[Solid, ...] = ()
     creature: tuple[Creature, ...] = ()
     waves: Waves = Waves()

@@ -114,8 +114,7 @@ def _open_box(path: Path) -> BlackBox:
     heads = [head(file) for file in parts(path)]
     run, attachments = heads[0].run, heads[0].attachments
     if run.get("kind") != "black box":
-        kinds = {"fleet": "is the recording of a fleet, which holds no inputs of a robot"}
-        raise ConfigError(f"{path}: {kinds.get(run.get('kind', ''), 'is no black box')}; {NEEDED}")
+        raise ConfigError(f"{other_kind(path, run, 'black box')}; {NEEDED}")
     schema = schema_of(path, run)
     needs = [name for name in ("robot", "incarnation") if name not in run]
     needs += [name for name in ("fleet.toml", "calibration.toml") if name not in attachments]
@@ -138,6 +137,17 @@ def _open_box(path: Path) -> BlackBox:
         schema=schema,
         retired=retire(parse_toml(attachments["fleet.toml"], path)),
     )
+
+
+KINDS = {"fleet": "the recording of a fleet, which holds no inputs of a robot", "black box": "one robot's black box"}
+
+
+def other_kind(path: Path, run: Mapping[str, str], wanted: str) -> str:
+    """Which file is not what is wanted, and what it is instead, by its header."""
+    if not path.stat().st_size:
+        return f"{path}: is empty"
+    kind = KINDS.get(run.get("kind", ""))
+    return f"{path}: is no {wanted}{f', but {kind}' if kind else ''}"
 
 
 def schema_of(path: Path, run: Mapping[str, str]) -> int:

@@ -36,6 +36,7 @@ from replay.check.reexecute import (
     attached_toml,
     head,
     open_boxes,
+    other_kind,
     schema_of,
 )
 from replay.files.channels import CLOCK, STEP_OUT, network_topic
@@ -311,7 +312,7 @@ def open_fleet_file(path: Path) -> FleetFile:
     heads = [head(file) for file in parts(path)]
     run, text = heads[0].run, heads[0].attachments.get("fleet.toml")
     if run.get("kind") != "fleet" or text is None:
-        raise ConfigError(f"{path}: is no recording of a fleet; give what `aucamp record` wrote")
+        raise ConfigError(f"{other_kind(path, run, 'recording of a fleet')}; give what `aucamp record` wrote")
     schema_of(path, run)
     fleet = attached_toml(path, "fleet.toml", heads[0].attachments, Fleet)
     return FleetFile(path, fleet, run, all(each.complete for each in heads))

@@ -133,6 +133,10 @@ MISTAKES = {
     "itself": (('["r2", "r3", "r4", "r5"]', '["r1"]'), "r1.neighbours", "itself", "remove"),
     "twice": (('["r2", "r3", "r4", "r5"]', '["r2", "r2", "r3", "r4", "r5"]'), "r1.neighbours", "twice", "remove"),
     "same port": (("127.0.0.1:17402", "127.0.0.1:17401"), "r2.listen", "r1", "own port"),
+    "same port by name": (("127.0.0.1:17402", "localhost:17401"), "r2.listen", "also that of 'r1'", "own port"),
+    "same port by IPv6": (("127.0.0.1:17402", "[0::1]:17401"), "r2.listen", "also that of 'r1'", "own port"),
+    "no decimal port": (("127.0.0.1:17402", "127.0.0.1:1740²"), "r2.listen", "tcp/HOST:PORT"),
+    "same calibration": (("n/r2.toml", "n/r1.toml"), "'robot.r2.calibration'", "also that of 'r1'", "own calibration"),
     "high port": (("127.0.0.1:17402", "127.0.0.1:40000"), "r2.listen", "40000", "32767"),
     "every address": (("127.0.0.1:17402", "0.0.0.0:17402"), "r2.listen", "neighbours dial it", "own"),
     "no endpoint": (("tcp/127.0.0.1:17402", "localhost"), "r2.listen", "localhost", "tcp/HOST:PORT"),
@@ -345,6 +349,7 @@ def test_a_fleet_is_secured_when_every_robot_listens_on_tls(tmp_path: Path) -> N
         (SECURED + 'observers = ["ca"]\n', "key 'access.observers': 'ca' is the name of the authority's files"),
         (SECURED.replace("r5", "ca"), "key 'robot.ca': is the name of the authority's files .* call the robot"),
         (SECURED + 'consoles = ["Ann!"]\n', "access.consoles"),
+        (TANK + '\n[access]\nobservers = ["r1"]\n', "key 'access.observers': 'r1' is a robot already; give each"),
     ],
 )
 def test_what_is_wrong_is_one_line_that_says_what_to_change(tmp_path: Path, text: str, said: str) -> None:

@@ -224,6 +224,7 @@ def test_what_is_not_asked_for_is_as_the_file_has_it(tmp_path: Path) -> None:
         (EEL, None, r"'target.eel': nothing in scene 'fish'"),
         (FISH.replace("speed_m_s", "# ").replace("turn_s", "# "), None, r"'target.fish': it swims .* add `speed_m_s`"),
         (TANK + SCENE.replace("SCENE", "two"), None, "scene 'two': no such scene; give one of .*tank, two_balls"),
+        (TANK + '\n[twin]\ncamera = "two"\n', None, r"'twin.camera': 'two' is no choice; write one of binned_640, "),
     ],
 )
 def test_what_cannot_dive_or_be_judged_is_one_line_and_leaves_nothing(

@@ -80,8 +80,8 @@ def test_files_that_are_not_there_or_open_to_others(path: Path) -> None:
     assert said(path) == [f"wrong {keys}/r1.key: no such file; copy it from where aucamp keys made it"]
     (keys / "ca.pem").unlink()
     assert said(path) == [f"wrong {keys}/ca.pem: no such file; copy it from where the keys were made"]
-    line = f"wrong {path}: key 'access.observers': has no 'eve'; add it, and make its certificate with: aucamp keys"
-    assert said(path, "eve")[0].startswith(line)
+    line = f"wrong {path}: [access] has no 'eve'; add it to consoles, who order, or to observers, who look, and"
+    assert said(path, "eve")[0].startswith(f"{line} make its certificate with: aucamp keys")
 
 
 def test_keys_that_have_no_business_on_a_robots_computer(path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

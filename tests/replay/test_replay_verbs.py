@@ -31,10 +31,13 @@ def folder(tmp_path: Path) -> Path:
     [
         (["check", "alone"], "alone: has only the recording of a fleet in it; give the black box of a robot"),
         (["check", "--vision", "alone"], "alone: has only the recording of a fleet in it"),
-        (["check", "alone/fleet.mcap"], "is the recording of a fleet, which holds no inputs of a robot; give"),
+        (
+            ["check", "alone/fleet.mcap"],
+            "is no black box, but the recording of a fleet, which holds no inputs of a robot; give",
+        ),
         (["check", "empty"], r"empty: has no recording \(.mcap\) in it; give the black box of a robot"),
         (["explain", "alone"], "alone: is a folder; give a recording in it, such as alone/r1.mcap"),
-        (["explain", "alone/fleet.mcap"], "is the recording of a fleet, which holds no inputs"),
+        (["explain", "alone/fleet.mcap"], "is no black box, but the recording of a fleet"),
         (["recover", "empty"], "empty: is a folder; give a recording in it"),
         (["report", "empty"], "empty: no recording and no summary.json; give the folder of a run"),
         (["info", "empty"], r"empty: has no recording \(.mcap\) in it"),

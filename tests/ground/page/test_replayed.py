@@ -170,6 +170,13 @@ def test_what_is_no_recording_of_a_fleet_is_one_line(tmp_path) -> None:
     (tmp_path / "x.mcap").write_bytes(b"nothing")
     with pytest.raises(ConfigError):
         Reel(tmp_path / "x.mcap")
+    (tmp_path / "x.mcap").write_bytes(b"")
+    with pytest.raises(ConfigError, match=r"x\.mcap: is empty; give what `aucamp record` wrote$"):
+        Reel(tmp_path / "x.mcap")
+    with pytest.raises(
+        ConfigError, match=r"r1\.mcap: is no recording of a fleet, but one robot's black box; give what"
+    ):
+        Reel(GOLDEN / "three" / "r1.mcap")
 
 
 # --- came ---

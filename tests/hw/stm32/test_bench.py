@@ -71,6 +71,11 @@ def test_a_parameter_that_is_no_number_is_one_line(text):
         board.numbers([text])
 
 
+def test_a_parameter_is_set_once():
+    with pytest.raises(ConfigError, match="law is given twice; write it once"):
+        board.numbers(["law=2", "net_weight_N=1.2", "law=1"])
+
+
 # --- in the twin ---
 
 

@@ -1,9 +1,11 @@
 """The lens and its actuator: what a driver is promised, and what it is not told."""
 
+from typing import get_args
+
 import numpy as np
 import pytest
 
-from agent.core.config import ConfigError
+from agent.core.config import CameraPreset, ConfigError
 from hw.twin.optics.lens import PRESETS, Vcm, draw_lens
 from hw.twin.scene import generator
 
@@ -31,6 +33,10 @@ def test_travel_reaches_past_infinity_and_to_a_hand_s_breadth(preset):
         near = 1 / lens.focal_m - 1 / lens.at_position_m(lens.highest)
         assert -1.2 < far < -0.8
         assert near > 1.333 / 0.17
+
+
+def test_a_fleet_file_may_name_each_preset_and_nothing_else():
+    assert set(get_args(CameraPreset)) == set(PRESETS)
 
 
 def test_unknown_preset_says_which_exist():
