@@ -42,6 +42,7 @@ from agent.process.certificates import (
 )
 from agent.process.keys import keys_folder, private_file, read_keys, robot_keys
 from agent.process.launch import addresses_of, bind_error
+from agent.robot.fleet_reader import host_and_port
 from hw.camera.camera import CameraError
 from hw.twin.scene import scene_of, target_solids
 from replay.files.log import Limits
@@ -260,7 +261,12 @@ def unit_findings(fleet: Fleet) -> Iterator[Finding]:
 
 
 def place_findings(fleet: Fleet) -> Iterator[Finding]:
-    """Robots that are in one place or lie on the floor, and tags that are better not used."""
+    """Robots that are in one place, lie on the floor or share a calibration, and tags that are better not used."""
+    files = [(name, robot.calibration, host_and_port(robot.listen)[0]) for name, robot in fleet.robot.items()]
+    for (one, *its), (other, *others) in itertools.combinations(files, 2):
+        if its == others:
+            text = f"{one} and {other} have one calibration, {its[0]}; each camera needs its own"
+            yield Finding("warning", "fleet", text)
     places = [(name, robot.pose, robot.depth_m) for name, robot in fleet.robot.items()]
     for (one, a, a_m), (other, b, b_m) in itertools.combinations(places, 2):
         if math.dist((a.x_m, a.y_m, a_m), (b.x_m, b.y_m, b_m)) < BESIDE_M:

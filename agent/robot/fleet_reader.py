@@ -271,11 +271,10 @@ def _device_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
         for key, device in (("serial", robot.serial), ("camera", robot.camera)):
             if device.startswith("twin:") and "/" not in device and device != f"twin:{name}":
                 yield f"robot.{name}.{key}", f"'{device}' is not this robot's; write twin:{name}"
-        host, port = _host_and_port(robot.listen)
+        host, port = host_and_port(robot.listen)
         held = [
             ("listen", f"{host} {port}", "port"),
             ("serial", f"{host} {robot.serial.removeprefix('stm32:')}", "control module"),
-            ("calibration", f"{host} {robot.calibration}", "calibration"),
         ]
         if robot.camera.startswith(("twin:", "v4l2:")):  # recorded pictures may be looked at by many
             held.append(("camera", f"{host} {robot.camera}", "camera"))
@@ -286,7 +285,7 @@ def _device_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
             owner[key, what] = name
 
 
-def _host_and_port(endpoint: str) -> tuple[str, str]:
+def host_and_port(endpoint: str) -> tuple[str, str]:
     """In one spelling of several: this computer's own names for itself are one host. No name is looked up."""
     host, _, port = endpoint.partition("/")[2].rpartition(":")
     host = host.strip("[]").lower()

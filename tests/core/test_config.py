@@ -136,7 +136,6 @@ MISTAKES = {
     "same port by name": (("127.0.0.1:17402", "localhost:17401"), "r2.listen", "also that of 'r1'", "own port"),
     "same port by IPv6": (("127.0.0.1:17402", "[0::1]:17401"), "r2.listen", "also that of 'r1'", "own port"),
     "no decimal port": (("127.0.0.1:17402", "127.0.0.1:1740²"), "r2.listen", "tcp/HOST:PORT"),
-    "same calibration": (("n/r2.toml", "n/r1.toml"), "'robot.r2.calibration'", "also that of 'r1'", "own calibration"),
     "high port": (("127.0.0.1:17402", "127.0.0.1:40000"), "r2.listen", "40000", "32767"),
     "every address": (("127.0.0.1:17402", "0.0.0.0:17402"), "r2.listen", "neighbours dial it", "own"),
     "no endpoint": (("tcp/127.0.0.1:17402", "localhost"), "r2.listen", "localhost", "tcp/HOST:PORT"),

@@ -281,6 +281,7 @@ def test_angles_that_look_like_radians_and_balls_of_another_unit_are_a_warning(t
             r"\1\nliars = 2",
             "liars: two are found among 7 to 32 robots that see, and there are 2; write 1",
         ),
+        (r"n/r2.toml", "n/r1.toml", "r1 and r2 have one calibration, calibration/r1.toml; each camera needs its own"),
         (r"(calibration = )", r"depth_m = 0.49\n\1", "r2.depth_m: 0.49 m deep, r2 lies on the floor; 0.42 m or less"),
         (r"pose = \{.*\}", "pose = { x_m = 0.4, y_m = 0.4, yaw_deg = 45.0 }", "r1 and r2 have the same place"),
     ],
