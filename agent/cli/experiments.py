@@ -15,7 +15,7 @@ import typer
 
 from agent.core.config import ConfigError
 from agent.experiments.registry import CLAIMS, code_of, load
-from agent.process.command import refuse_options, terminal, with_bar
+from agent.process.command import complain, refuse_options, terminal, with_bar
 
 if TYPE_CHECKING:
     from agent.experiments.claim import Claim
@@ -114,7 +114,11 @@ def run(plan: Plan, claim: Claim, out: Path | None, jobs: int | None, scheduler:
 
     console, folder = terminal(), out or folder_of(plan)
     what = f"{plan.name}: cases and seeds"
-    found = with_bar(console, what, lambda show: run_plan(plan, folder, jobs, scheduler, show, claim))
+    try:
+        found = with_bar(console, what, lambda show: run_plan(plan, folder, jobs, scheduler, show, claim))
+    except (KeyboardInterrupt, SystemExit):
+        complain(f"experiment {plan.name}: ended early; what has finished is kept, and --out {folder} goes on")
+        raise
     result = result_of(plan, claim, measure(claim, found.rows))
     write_result(result, run_of(plan, command_of(plan, claim), found.seconds_a_seed, quick), folder)
     console.print(table(result.figures, f"{plan.name}: {CLAIMS[plan.name].about} ({claim.measured_on})"))

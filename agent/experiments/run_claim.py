@@ -12,8 +12,9 @@ import fcntl
 import json
 import multiprocessing
 import os
-from collections.abc import Generator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+import signal
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from threading import Thread
@@ -29,6 +30,7 @@ from agent.process.command import Failed, Progress
 
 PLAN, FINISHED, ROWS = "plan.json", "finished.jsonl", "rows.json"
 TIMED_OUT_S = 30.0  # until a scheduler answers
+LOOK_S = 0.2  # how soon a signal is seen
 
 
 class Plan(NamedTuple):
@@ -133,23 +135,65 @@ def on_this_process(plan: Plan, pieces: Sequence[tuple[str, int]]) -> Results:
 
 
 def on_processes(plan: Plan, pieces: Sequence[tuple[str, int]], jobs: int) -> Results:
-    """Spawned, for a fork would copy the progress bar's thread in mid-step."""
-    pool = ProcessPoolExecutor(
-        min(jobs, max(len(pieces), 1)), mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent
-    )
+    """Spawned, for a fork would copy the progress bar's thread in mid-step. A signal, or a piece that fails, ends the
+    workers in mid-work; what they had finished by then is told first."""
+    others = multiprocessing.active_children()
+    with held_back() as asked:
+        pool = ProcessPoolExecutor(
+            min(jobs, max(len(pieces), 1)), mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent
+        )
+        with kept_from_children(signal.SIGINT):  # a terminal sends it to all of them
+            futures = {pool.submit(work, *arguments(plan, piece)): piece for piece in pieces}
+        try:
+            waiting, failed = set(futures), list[Future[str]]()
+            while waiting and not asked and not failed:
+                done, waiting = wait(waiting, LOOK_S, FIRST_COMPLETED)
+                failed = [future for future in done if future.exception() is not None]
+                for future in done.difference(failed):
+                    yield futures[future], future.result()
+        finally:
+            for worker in multiprocessing.active_children() if waiting else ():
+                if worker not in others:
+                    worker.kill()
+            pool.shutdown(wait=True, cancel_futures=True)
+        for future in waiting:
+            if future.done() and not future.cancelled() and future.exception() is None:
+                yield futures[future], future.result()
+        try:
+            if failed and not asked:
+                failed[0].result()
+        except BrokenProcessPool:
+            raise Failed(
+                f"experiment {plan.name}: a process of it was ended from outside, as when memory is short; "
+                "what has finished is kept, and the same command goes on; fewer --jobs need less memory"
+            ) from None
+
+
+@contextlib.contextmanager
+def held_back() -> Iterator[list[int]]:
+    """What ends this process ends it when the block is left; until then, the signals that have come."""
+    asked: list[int] = []
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:  # nohup means it
+            signal.signal(number, lambda number, frame: asked.append(number))
     try:
-        futures: dict[Future[str], tuple[str, int]] = {
-            pool.submit(work, *arguments(plan, piece)): piece for piece in pieces
-        }
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    except BrokenProcessPool:
-        raise Failed(
-            f"experiment {plan.name}: a process of it was ended from outside, as when memory is short; "
-            "what has finished is kept, and the same command goes on; fewer --jobs need less memory"
-        ) from None
+        yield asked
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if asked:
+            signal.raise_signal(asked[0])
+
+
+@contextlib.contextmanager
+def kept_from_children(number: signal.Signals) -> Iterator[None]:
+    """Processes that begin here never get this signal: they have the mask of the thread that begins them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (number,))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def end_with_parent() -> None:

@@ -1,10 +1,12 @@
 """Seeds on processes and on a cluster: the same bytes, also of a run that was killed again and again."""
 
 import json
+import os
 import random
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -60,6 +62,24 @@ def kill_after(one: subprocess.Popen, folder: Path, count: int) -> None:
     until(lambda: lines(folder) > count or one.poll() is not None, 60.0)
     one.send_signal(signal.SIGKILL)
     assert one.wait() == -signal.SIGKILL, "it came to its end before it was killed"
+
+
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_run_at_once_and_keeps_what_has_finished(tmp_path: Path, number: signal.Signals) -> None:
+    """Sent to all its processes, as a terminal does, and again before it has ended."""
+    command = [sys.executable, "-m", "tests.experiments.dice", str(tmp_path), "1"]
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True) as one:
+        until(lambda: lines(tmp_path) >= 2, 60.0)
+        send = os.killpg if number == signal.SIGINT else os.kill
+        for _ in range(2):
+            send(one.pid, number)
+            time.sleep(0.05)
+        said = one.communicate(timeout=10.0)[1]
+    assert one.returncode == -number and "SpawnProcess" not in said and said.count("Traceback") <= 1
+    assert 2 <= lines(tmp_path) == len(read_finished(tmp_path / FINISHED)) < 20
+    with pytest.raises(ProcessLookupError):
+        until(lambda: os.killpg(one.pid, 0))
+    assert run_on(dice.plan(seeds=1, seconds=1.0), tmp_path, jobs=2).kept == 2
 
 
 def lines(folder: Path) -> int:
