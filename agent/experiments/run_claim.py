@@ -57,6 +57,7 @@ class Plan(NamedTuple):
 class Found(NamedTuple):
     """Rows by case and seed, and what they took."""
 
+    seeds: range  # those that were asked for, and all others of the folder
     rows: dict[str, dict[int, list[Row]]]
     seconds_a_seed: float  # of one process, all cases together
     kept: int  # pieces that were on the disk before
@@ -67,18 +68,19 @@ def run_plan(
 ) -> Found:
     """Run what is not on the disk yet. Progress counts pieces.
 
-    Raises ConfigError for a folder of something else, a scheduler that does not answer, and jobs for a claim that runs
-    alone; Failed, or what the claim raises, where a seed fails: what has finished stays.
+    Raises ConfigError for a folder of something else or of seeds that leave a gap, a scheduler that does not answer,
+    and jobs for a claim that runs alone; Failed, or what the claim raises, where a seed fails: what has finished stays.
     """
     if claim.alone and (scheduler is not None or (jobs or 1) > 1):
         raise ConfigError(
             f"experiment {plan.name}: runs alone, for it times the machine; leave --jobs, --scheduler out"
         )
     begin(plan, folder)
-    wanted = plan.pieces
     with (folder / FINISHED).open("a", encoding="utf-8") as file, contextlib.ExitStack() as stack:
         lock(file, folder)
         finished = read_finished(folder / FINISHED)
+        plan = plan._replace(seeds=joined(plan, finished, folder))
+        wanted = plan.pieces
         missing = [piece for piece in wanted if piece not in finished]
         done = len(wanted) - len(missing)
         progress(done, len(wanted))
@@ -96,7 +98,7 @@ def run_plan(
     rows = {case: {seed: finished[case, seed]["rows"] for seed in plan.seeds} for case in plan.cases}
     seconds = sum(finished[piece]["seconds"] for piece in wanted) / len(plan.seeds)
     write_whole(folder / ROWS, json.dumps(rows, indent=1) + "\n")
-    return Found(rows, seconds, len(wanted) - len(missing))
+    return Found(plan.seeds, rows, seconds, len(wanted) - len(missing))
 
 
 # --- a piece of work, in whatever process ---
@@ -275,6 +277,18 @@ def read_finished(path: Path) -> dict[tuple[str, int], dict[str, Any]]:
         return {(line["case"], line["seed"]): line for line in lines}
     except (json.JSONDecodeError, KeyError, TypeError):
         raise ConfigError(f"{path}: holds a line that no run wrote; give --out a new folder") from None
+
+
+def joined(plan: Plan, finished: Mapping[tuple[str, int], Any], folder: Path) -> range:
+    """The seeds that are asked for with all that have every case. Raises ConfigError where some between are missing."""
+    whole = {seed for _, seed in finished if all((case, seed) in finished for case in plan.cases)} | set(plan.seeds)
+    seeds = range(min(whole), max(whole) + 1)
+    if len(whole) < len(seeds):
+        raise ConfigError(
+            f"{folder}: holds other seeds, and some between are missing; "
+            f"ask for all by --seed {seeds[0]} --seeds {len(seeds)}, or give --out a new folder"
+        )
+    return seeds
 
 
 def write_line(file: IO[str], line: str) -> None:

@@ -109,6 +109,19 @@ def test_more_seeds_join_a_run_and_what_is_there_is_not_run_again(tmp_path: Path
     assert len(read_finished(tmp_path / FINISHED)) == 10
 
 
+def test_seeds_of_a_folder_count_whichever_are_asked_for(tmp_path: Path) -> None:
+    run_on(dice.plan(seeds=3), tmp_path)
+    written = (tmp_path / ROWS).read_bytes()
+    with pytest.raises(
+        ConfigError, match=r"some between are missing; ask for all by --seed 0 --seeds 9, or give --out"
+    ):
+        run_on(dice.plan()._replace(seeds=range(7, 9)), tmp_path)
+    assert (tmp_path / ROWS).read_bytes() == written
+    found = run_on(dice.plan()._replace(seeds=range(3, 5)), tmp_path)
+    assert (found.seeds, found.kept, sorted(found.rows["one"])) == (range(5), 6, [0, 1, 2, 3, 4])
+    assert run_on(dice.plan(seeds=1), tmp_path).seeds == range(5)
+
+
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
     run_on(dice.plan(seeds=1), tmp_path / "run")
     with pytest.raises(ConfigError, match="holds seeds of another state of the code; give --out a new folder"):
