@@ -15,7 +15,7 @@ import typer
 
 from agent.core.config import ConfigError
 from agent.experiments.registry import CLAIMS, code_of, load
-from agent.process.command import refuse_options, terminal, with_bar
+from agent.process.command import complain, refuse_options, terminal, with_bar
 
 if TYPE_CHECKING:
     from agent.experiments.claim import Claim
@@ -114,7 +114,12 @@ def run(plan: Plan, claim: Claim, out: Path | None, jobs: int | None, scheduler:
 
     console, folder = terminal(), out or folder_of(plan)
     what = f"{plan.name}: cases and seeds"
-    found = with_bar(console, what, lambda show: run_plan(plan, folder, jobs, scheduler, show, claim))
+    try:
+        found = with_bar(console, what, lambda show: run_plan(plan, folder, jobs, scheduler, show, claim))
+    except (KeyboardInterrupt, SystemExit):
+        complain(f"experiment {plan.name}: ended early; what has finished is kept, and --out {folder} goes on")
+        raise
+    plan = plan._replace(seeds=found.seeds)
     result = result_of(plan, claim, measure(claim, found.rows))
     write_result(result, run_of(plan, command_of(plan, claim), found.seconds_a_seed, quick), folder)
     console.print(table(result.figures, f"{plan.name}: {CLAIMS[plan.name].about} ({claim.measured_on})"))
@@ -154,7 +159,7 @@ def show_list() -> None:
     """Name, one line, cost and last result of each."""
     from rich.table import Table
 
-    from agent.experiments.results import age, read_kept
+    from agent.experiments.results import KEPT, age, read_kept
 
     shown = Table()
     for head in ("claim", "about", "two cores", "last result", ""):
@@ -174,6 +179,8 @@ def show_list() -> None:
         last = f"{', '.join(counts) or 'no targets'}; {dates[-1]}" if kept else "not measured"
         shown.add_row(name, entry.about, cost, last, old)
     terminal().print(shown)
+    if not KEPT.is_dir():
+        complain(f"experiment list: looks for results in {Path.cwd() / KEPT}, which is not there; run it in a checkout")
 
 
 def write_docs(runs: Sequence[Path]) -> None:

@@ -22,14 +22,18 @@ Verdict = Literal["met", "missed", "not shown", ""]  # "": there is no target
 
 
 class Share(NamedTuple):
-    """How many of how many; its interval is that of a binomial, and not a bootstrap's."""
+    """How many of how many, each a trial of its own; its interval is that of a binomial, and not a bootstrap's.
+
+    Many frames or robots of one seed are alike: a share of them is told as a number, which is as sure as seeds are.
+    """
 
     hits: int
     of: int
 
 
 class Quantile(NamedTuple):
-    """The smallest value that at least `percent` of the seeds keep; one value a seed, None: never.
+    """The smallest value that at least `percent` of the seeds keep; one value a seed, None: never. Of 0 and of 100 it
+    is the least and the largest that was seen, and nobody knows how far the next seed goes beyond.
 
     Its interval is made of the values in their order and supposes nothing of how they are spread. A bootstrap would be
     too sure: it knows no value beyond the largest one seen. That 95 % keep a limit takes 59 seeds to show, all of them
@@ -114,9 +118,9 @@ def measure(claim: Claim, found: Mapping[str, Mapping[int, Sequence[Row]]]) -> d
         return claim.summary(pooled)
 
     values = told(seeds)
-    drawn = [value for value in values.values() if not isinstance(value, Share | Quantile)]
+    numbers = [value for value in values.values() if not isinstance(value, Share | Quantile)]
     chance = np.random.default_rng(0)
-    again = range(RESAMPLES if drawn and len(seeds) > 1 and not claim.exact else 0)
+    again = range(RESAMPLES if numbers and len(seeds) > 1 and not claim.exact else 0)
     resamples = [told([seeds[k] for k in chance.integers(len(seeds), size=len(seeds))]) for _ in again]
     measured = {}
     for figure in claim.figures:
@@ -133,19 +137,34 @@ def measure(claim: Claim, found: Mapping[str, Mapping[int, Sequence[Row]]]) -> d
             measured[figure.key] = UNKNOWN
             continue
         one = as_number(value, figure)
-        low, high = (one, one) if claim.exact else interval([as_number(each[figure.key], figure) for each in resamples])
+        drawn = [as_number(each[figure.key], figure) for each in resamples]
+        low, high = (one, one) if claim.exact else interval(one, drawn, len(seeds))
         measured[figure.key] = Measured(one, low, high, len(seeds))
     return measured
 
 
-def interval(values: Sequence[float]) -> tuple[float, float]:
-    """The middle LEVEL of a bootstrap's values; without any, nothing is known."""
-    if not values:
+def interval(value: float, resamples: Sequence[float], n: int) -> tuple[float, float]:
+    """Of a number that n seeds gave, by a bootstrap of them. Without any resample, nothing is known.
+
+    Few seeds are drawn from themselves with too little spread, by sqrt((n - 1) / n), and a normal quantile is too
+    short for them. So each end is the farther one of two: that of Student's t with the bootstrap's standard error,
+    which for a mean is the usual interval, and the bootstrap's percentile, stretched as much, which follows a skew.
+    """
+    if not len(resamples):
         return -math.inf, math.inf
+    from scipy.stats import norm, t  # here, for it takes a second
+
     tail = 0.5 * (1.0 - LEVEL)
-    ordered = np.sort(values)  # not interpolated: some may be infinite
+    ordered = np.sort(resamples)  # not interpolated: some may be infinite
     last = len(ordered) - 1
-    return float(ordered[math.floor(tail * last)]), float(ordered[math.ceil((1.0 - tail) * last)])
+    if math.isclose(ordered[0], ordered[last], rel_tol=1e-9):
+        return of_quantile(Quantile([value] * n, 50.0))[1:3]  # no seed differs: known as well as their median is
+    if math.isinf(value):
+        return -math.inf, math.inf
+    low, high = float(ordered[math.floor(tail * last)]), float(ordered[math.ceil((1.0 - tail) * last)])
+    errors = math.sqrt(n / (n - 1)) * float(t.ppf(1.0 - tail, n - 1))
+    off, wider = errors * float(np.std(ordered[np.isfinite(ordered)])), errors / float(norm.ppf(1.0 - tail))
+    return value - max(wider * (value - low), off), value + max(wider * (high - value), off)
 
 
 def of_share(share: Share, scale: float = 1.0) -> Measured:

@@ -20,7 +20,7 @@ from agent.core.linear_algebra import difference, distance2, full, plus, upper, 
 from agent.core.messages import Estimate, Vector, Verdict
 from agent.core.ranging.camera_model import Calibration
 from agent.core.target_state import TargetState
-from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value, percentile
+from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, Value
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK as BASIN
 from agent.experiments.navigation.basin import PlanarBodies
@@ -437,7 +437,7 @@ def summary(rows: Rows) -> dict[str, Value]:
             found[f"{case}.{key}"] = float(np.mean(values)) if values else math.nan
         said = [row["said_s"] for row in of]
         found[f"{case}.said"] = Share(sum(each is not None for each in said), len(of))
-        found[f"{case}.said_s"] = percentile(said, 50.0)
+        found[f"{case}.said_s"] = Quantile(said, 50.0)
         found[f"{case}.heard"] = Share(sum(row["silent"] <= 0.05 for row in of), len(of))
     return found
 

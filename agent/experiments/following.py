@@ -14,7 +14,7 @@ import msgspec
 import numpy as np
 
 from agent.capabilities.swim.barrier import RINGS_M
-from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value, percentile
+from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, Value, percentile
 from agent.experiments.following_dive import WATCH_S, Case, Draw, dive
 
 # --- what is counted of a dive: which robots saw it, how well it was known, how soon a robot that lost it had it again
@@ -112,7 +112,7 @@ def figures_of(dives: Sequence[Row]) -> dict[str, Value]:
         times_s = [seconds for row in dives for seconds in row[key]]
         found[key] = percentile(times_s, 95.0) if times_s else math.nan
     least_m = [row["least_m"] for row in dives]
-    return found | {"least_m": min(least_m), "keep": Share(sum(m >= RINGS_M for m in least_m), len(least_m))}
+    return found | {"least_m": Quantile(least_m, 0.0), "keep": Share(sum(m >= RINGS_M for m in least_m), len(least_m))}
 
 
 SUMS = (

@@ -12,8 +12,9 @@ import fcntl
 import json
 import multiprocessing
 import os
-from collections.abc import Generator, Mapping, Sequence
-from concurrent.futures import Future, ProcessPoolExecutor, as_completed
+import signal
+from collections.abc import Generator, Iterator, Mapping, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 from threading import Thread
@@ -29,6 +30,7 @@ from agent.process.command import Failed, Progress
 
 PLAN, FINISHED, ROWS = "plan.json", "finished.jsonl", "rows.json"
 TIMED_OUT_S = 30.0  # until a scheduler answers
+LOOK_S = 0.2  # how soon a signal is seen
 
 
 class Plan(NamedTuple):
@@ -55,6 +57,7 @@ class Plan(NamedTuple):
 class Found(NamedTuple):
     """Rows by case and seed, and what they took."""
 
+    seeds: range  # those that were asked for, and all others of the folder
     rows: dict[str, dict[int, list[Row]]]
     seconds_a_seed: float  # of one process, all cases together
     kept: int  # pieces that were on the disk before
@@ -65,18 +68,19 @@ def run_plan(
 ) -> Found:
     """Run what is not on the disk yet. Progress counts pieces.
 
-    Raises ConfigError for a folder of something else, a scheduler that does not answer, and jobs for a claim that runs
-    alone; Failed, or what the claim raises, where a seed fails: what has finished stays.
+    Raises ConfigError for a folder of something else or of seeds that leave a gap, a scheduler that does not answer,
+    and jobs for a claim that runs alone; Failed, or what the claim raises, where a seed fails: what has finished stays.
     """
     if claim.alone and (scheduler is not None or (jobs or 1) > 1):
         raise ConfigError(
             f"experiment {plan.name}: runs alone, for it times the machine; leave --jobs, --scheduler out"
         )
     begin(plan, folder)
-    wanted = plan.pieces
     with (folder / FINISHED).open("a", encoding="utf-8") as file, contextlib.ExitStack() as stack:
         lock(file, folder)
         finished = read_finished(folder / FINISHED)
+        plan = plan._replace(seeds=joined(plan, finished, folder))
+        wanted = plan.pieces
         missing = [piece for piece in wanted if piece not in finished]
         done = len(wanted) - len(missing)
         progress(done, len(wanted))
@@ -94,7 +98,7 @@ def run_plan(
     rows = {case: {seed: finished[case, seed]["rows"] for seed in plan.seeds} for case in plan.cases}
     seconds = sum(finished[piece]["seconds"] for piece in wanted) / len(plan.seeds)
     write_whole(folder / ROWS, json.dumps(rows, indent=1) + "\n")
-    return Found(rows, seconds, len(wanted) - len(missing))
+    return Found(plan.seeds, rows, seconds, len(wanted) - len(missing))
 
 
 # --- a piece of work, in whatever process ---
@@ -133,23 +137,65 @@ def on_this_process(plan: Plan, pieces: Sequence[tuple[str, int]]) -> Results:
 
 
 def on_processes(plan: Plan, pieces: Sequence[tuple[str, int]], jobs: int) -> Results:
-    """Spawned, for a fork would copy the progress bar's thread in mid-step."""
-    pool = ProcessPoolExecutor(
-        min(jobs, max(len(pieces), 1)), mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent
-    )
+    """Spawned, for a fork would copy the progress bar's thread in mid-step. A signal, or a piece that fails, ends the
+    workers in mid-work; what they had finished by then is told first."""
+    others = multiprocessing.active_children()
+    with held_back() as asked:
+        pool = ProcessPoolExecutor(
+            min(jobs, max(len(pieces), 1)), mp_context=multiprocessing.get_context("spawn"), initializer=end_with_parent
+        )
+        with kept_from_children(signal.SIGINT):  # a terminal sends it to all of them
+            futures = {pool.submit(work, *arguments(plan, piece)): piece for piece in pieces}
+        try:
+            waiting, failed = set(futures), list[Future[str]]()
+            while waiting and not asked and not failed:
+                done, waiting = wait(waiting, LOOK_S, FIRST_COMPLETED)
+                failed = [future for future in done if future.exception() is not None]
+                for future in done.difference(failed):
+                    yield futures[future], future.result()
+        finally:
+            for worker in multiprocessing.active_children() if waiting else ():
+                if worker not in others:
+                    worker.kill()
+            pool.shutdown(wait=True, cancel_futures=True)
+        for future in waiting:
+            if future.done() and not future.cancelled() and future.exception() is None:
+                yield futures[future], future.result()
+        try:
+            if failed and not asked:
+                failed[0].result()
+        except BrokenProcessPool:
+            raise Failed(
+                f"experiment {plan.name}: a process of it was ended from outside, as when memory is short; "
+                "what has finished is kept, and the same command goes on; fewer --jobs need less memory"
+            ) from None
+
+
+@contextlib.contextmanager
+def held_back() -> Iterator[list[int]]:
+    """What ends this process ends it when the block is left; until then, the signals that have come."""
+    asked: list[int] = []
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)}
+    for number, handler in before.items():
+        if handler is not signal.SIG_IGN:  # nohup means it
+            signal.signal(number, lambda number, frame: asked.append(number))
     try:
-        futures: dict[Future[str], tuple[str, int]] = {
-            pool.submit(work, *arguments(plan, piece)): piece for piece in pieces
-        }
-        for future in as_completed(futures):
-            yield futures[future], future.result()
-    except BrokenProcessPool:
-        raise Failed(
-            f"experiment {plan.name}: a process of it was ended from outside, as when memory is short; "
-            "what has finished is kept, and the same command goes on; fewer --jobs need less memory"
-        ) from None
+        yield asked
     finally:
-        pool.shutdown(wait=True, cancel_futures=True)
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        if asked:
+            signal.raise_signal(asked[0])
+
+
+@contextlib.contextmanager
+def kept_from_children(number: signal.Signals) -> Iterator[None]:
+    """Processes that begin here never get this signal: they have the mask of the thread that begins them."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, (number,))
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def end_with_parent() -> None:
@@ -231,6 +277,18 @@ def read_finished(path: Path) -> dict[tuple[str, int], dict[str, Any]]:
         return {(line["case"], line["seed"]): line for line in lines}
     except (json.JSONDecodeError, KeyError, TypeError):
         raise ConfigError(f"{path}: holds a line that no run wrote; give --out a new folder") from None
+
+
+def joined(plan: Plan, finished: Mapping[tuple[str, int], Any], folder: Path) -> range:
+    """The seeds that are asked for with all that have every case. Raises ConfigError where some between are missing."""
+    whole = {seed for _, seed in finished if all((case, seed) in finished for case in plan.cases)} | set(plan.seeds)
+    seeds = range(min(whole), max(whole) + 1)
+    if len(whole) < len(seeds):
+        raise ConfigError(
+            f"{folder}: holds other seeds, and some between are missing; "
+            f"ask for all by --seed {seeds[0]} --seeds {len(seeds)}, or give --out a new folder"
+        )
+    return seeds
 
 
 def write_line(file: IO[str], line: str) -> None:

@@ -5,6 +5,7 @@ import math
 import msgspec
 import numpy as np
 import pytest
+from scipy import stats
 
 from agent.experiments.claim import (
     LEVEL,
@@ -45,15 +46,43 @@ def test_the_interval_of_a_quantile_holds_it_as_often_as_it_says() -> None:
         return of_quantile(Quantile(rng.exponential(size=60).tolist(), 95.0))[1:3]
 
     def bootstrapped(rng):
-        values = rng.exponential(size=20)
-        return interval([percentile(rng.choice(values, 20).tolist(), 95.0) for _ in range(200)])
+        values = rng.exponential(size=20).tolist()
+        return interval(percentile(values, 95.0), [percentile(rng.choice(values, 20), 95.0) for _ in range(200)], 20)
 
     assert covered(ordered, -math.log(0.05)) >= LEVEL - 0.03
     assert covered(bootstrapped, -math.log(0.05)) < 0.8
+    assert of_quantile(Quantile([2.0, 1.0], 100.0))[:3] == (2.0, 2.0, INF), "the largest yet: the next may be larger"
+    assert of_quantile(Quantile([2.0, 1.0], 0.0))[:3] == (1.0, -INF, 1.0)
     assert of_quantile(Quantile([1.0] * 58, 95.0)).high == INF, "of 58 nobody can say what 95 % keep"
     assert of_quantile(Quantile([1.0] * 59, 95.0)).high == 1.0
     assert of_quantile(Quantile([1.0, None, 2.0], 50.0)).value == 2.0
     assert of_quantile(Quantile([float(k) for k in range(1, 61)], 95.0)).value == 57.0
+
+
+@pytest.mark.parametrize("skew", [0.0, 0.4])
+@pytest.mark.parametrize("n", [2, 3, 5, 8, 20])
+def test_the_interval_of_a_number_holds_it_as_often_as_it_says(n: int, skew: float) -> None:
+    """Means of few seeds: normal, and log-normal with so large a sigma. No wider than Student's by much."""
+    drawn = np.random.default_rng(0).integers(n, size=(300, n))
+    widths, usual, errors = [], [], stats.t.ppf(0.95, n - 1)
+
+    def mean(rng):
+        values = rng.normal(size=n)
+        values = np.exp(skew * values) if skew else values
+        low, high = interval(float(values.mean()), values[drawn].mean(axis=1), n)
+        widths.append(high - low)
+        usual.append(2.0 * errors * values.std(ddof=1) / math.sqrt(n))
+        return low, high
+
+    assert covered(mean, math.exp(0.5 * skew**2) if skew else 0.0, 1000) >= LEVEL - 0.04
+    assert 0.97 < np.mean(widths) / np.mean(usual) < 1.12
+
+
+def test_a_number_of_seeds_that_never_differ_or_never_come() -> None:
+    assert interval(3.0, [3.0] * 9, 4) == (-INF, INF) and interval(3.0, [3.0] * 9, 5) == (3.0, 3.0)
+    assert interval(INF, [INF] * 9, 5) == (INF, INF) and interval(INF, [INF, 1.0, 2.0], 5) == (-INF, INF)
+    low, high = interval(1.0, [0.0, 1.0, INF], 3)
+    assert high == INF and -INF < low < 0.0
 
 
 def test_the_bootstrap_draws_whole_seeds() -> None:

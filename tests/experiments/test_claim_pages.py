@@ -191,3 +191,9 @@ def test_the_list_names_every_claim(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(ROOT)
     done = CliRunner().invoke(experiments.app, ["list"])
     assert done.exit_code == 0 and all(name in done.output for name in registry.CLAIMS)
+    assert "is not there" not in done.output
+
+
+def test_the_list_says_where_it_looks_for_results(checkout: Path) -> None:
+    done = CliRunner().invoke(experiments.app, ["list"])
+    assert f"looks for results in {checkout / KEPT}, which is not there; run it in a checkout" in done.output

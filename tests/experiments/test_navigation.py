@@ -219,7 +219,7 @@ def test_what_robots_around_a_ball_come_to() -> None:
     assert around_ball.summary({"aid": rows}) == {"aid_own_mm": 6.0, "aid_aided_mm": 3.0, "aid_nees": 0.5}
     apart = [{"least_m": 0.33, "tried": 3, "reached": 2}, {"least_m": 0.4, "tried": 1, "reached": 1}]
     assert around_ball.summary({"separation": apart}) == {
-        "separation_least_m": 0.33,
+        "separation_least_m": Quantile([0.33, 0.4], 0.0),
         "separation_keep": Share(1, 2),
         "separation_reached": Share(3, 4),
     }
@@ -234,7 +234,7 @@ def test_what_searchers_come_to() -> None:
         "three_told": Share(2, 3),
         "three_s": Quantile([9.0], 95.0),
         "alone_s": Quantile([None], 95.0),
-        "three_least_m": 0.5,
+        "three_least_m": Quantile([0.5], 0.0),
         "three_keep": Share(1, 1),
     }
 

@@ -1,10 +1,12 @@
 """Seeds on processes and on a cluster: the same bytes, also of a run that was killed again and again."""
 
 import json
+import os
 import random
 import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -62,6 +64,24 @@ def kill_after(one: subprocess.Popen, folder: Path, count: int) -> None:
     assert one.wait() == -signal.SIGKILL, "it came to its end before it was killed"
 
 
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_signal_ends_a_run_at_once_and_keeps_what_has_finished(tmp_path: Path, number: signal.Signals) -> None:
+    """Sent to all its processes, as a terminal does, and again before it has ended."""
+    command = [sys.executable, "-m", "tests.experiments.dice", str(tmp_path), "1"]
+    with subprocess.Popen(command, cwd=ROOT, stderr=subprocess.PIPE, text=True, start_new_session=True) as one:
+        until(lambda: lines(tmp_path) >= 2, 60.0)
+        send = os.killpg if number == signal.SIGINT else os.kill
+        for _ in range(2):
+            send(one.pid, number)
+            time.sleep(0.05)
+        said = one.communicate(timeout=10.0)[1]
+    assert one.returncode == -number and "SpawnProcess" not in said and said.count("Traceback") <= 1
+    assert 2 <= lines(tmp_path) == len(read_finished(tmp_path / FINISHED)) < 20
+    with pytest.raises(ProcessLookupError):
+        until(lambda: os.killpg(one.pid, 0))
+    assert run_on(dice.plan(seeds=1, seconds=1.0), tmp_path, jobs=2).kept == 2
+
+
 def lines(folder: Path) -> int:
     path = folder / FINISHED
     return path.read_bytes().count(b"\n") if path.exists() else 0
@@ -87,6 +107,19 @@ def test_more_seeds_join_a_run_and_what_is_there_is_not_run_again(tmp_path: Path
     found = run_on(dice.plan(seeds=5), tmp_path)
     assert found.kept == 6 and sorted(found.rows["one"]) == [0, 1, 2, 3, 4]
     assert len(read_finished(tmp_path / FINISHED)) == 10
+
+
+def test_seeds_of_a_folder_count_whichever_are_asked_for(tmp_path: Path) -> None:
+    run_on(dice.plan(seeds=3), tmp_path)
+    written = (tmp_path / ROWS).read_bytes()
+    with pytest.raises(
+        ConfigError, match=r"some between are missing; ask for all by --seed 0 --seeds 9, or give --out"
+    ):
+        run_on(dice.plan()._replace(seeds=range(7, 9)), tmp_path)
+    assert (tmp_path / ROWS).read_bytes() == written
+    found = run_on(dice.plan()._replace(seeds=range(3, 5)), tmp_path)
+    assert (found.seeds, found.kept, sorted(found.rows["one"])) == (range(5), 6, [0, 1, 2, 3, 4])
+    assert run_on(dice.plan(seeds=1), tmp_path).seeds == range(5)
 
 
 def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:

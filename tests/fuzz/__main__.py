@@ -40,11 +40,14 @@ def main(
     list_: Annotated[bool, typer.Option("--list", help="say which decoders there are, and what each reads")] = False,
     keep: Annotated[bool, typer.Option(help="new faults become cases")] = True,
 ) -> None:
-    """Look for inputs that break something. Ends with 1 where one was found."""
+    """Look for inputs that break something. Ends with 1 where one was found, with 2 for a name that is none."""
     if list_:
         for line in parts.told():
             say(line)
         return
+    if wrong := parts.refused(part, only or ()):
+        sys.stderr.write(f"fuzz: {wrong}\n")
+        sys.exit(2)
     seed = SystemRandom().randrange(10**6) if seed is None else seed
     end_s = time.monotonic() + (seconds or FOR_EVER_S)
     say(f"seed {seed}")

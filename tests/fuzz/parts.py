@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from typing import Literal
 
@@ -126,6 +126,17 @@ def told() -> Iterator[str]:
     """Each decoder and part that reads bytes, and the functions of the product that it enters."""
     for name in (*(each.name for each in decoders()), *ELSEWHERE):
         yield f"{name}: {', '.join(FUZZED[name])}" if name in FUZZED else name
+
+
+def refused(name: Name, only: Sequence[str]) -> str:
+    """What is wrong with the beginnings of names that are asked for: they would fuzz nothing. Empty: nothing is."""
+    if only and name not in ("decoders", "all"):
+        return f"{name} takes no --only; leave it out"
+    known = [each.name for each in decoders()]
+    for beginning in only:
+        if not any(one.startswith(beginning) for one in known):
+            return f"--only {beginning}: no decoder begins so; choose from {', '.join(known)}"
+    return ""
 
 
 def chosen(name: Name, protocol: Protocol | None, only: tuple[str, ...] = ()) -> list[Callable[[int, Say, bool], Part]]:

@@ -16,6 +16,7 @@ from agent.core.codec import Refusal, decode
 from agent.core.config import Protocol
 from agent.core.messages import Estimate, State
 from tests.fuzz import cases, decoding, mutate, parts
+from tests.fuzz.__main__ import main as fuzz
 from tests.fuzz.decoder import Decoder, bytes_for
 from tests.fuzz.decoders import decoders
 from tests.fuzz.kernel import episode
@@ -196,3 +197,13 @@ def test_parts_take_turns_and_count(monkeypatch: pytest.MonkeyPatch) -> None:
     paper.turn(200, time.monotonic() + 60.0)
     assert paper.done >= 200
     assert paper.rate() > 0.0
+
+
+def test_a_name_that_is_none_is_one_line_and_fuzzes_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        fuzz("decoders", only=["page", "nope"], list_=False)
+    said = capsys.readouterr()
+    assert ended.value.code == 2 and not said.out and said.err.count("\n") == 1
+    assert said.err.startswith("fuzz: --only nope: no decoder begins so; choose from codec.Answer, ")
+    assert parts.refused("wire", ["request"]) == "wire takes no --only; leave it out"
+    assert parts.refused("all", ["page", "fleet"]) == parts.refused("wire", ()) == ""

@@ -299,6 +299,9 @@ def main(words: Sequence[str]) -> int:
     parser.add_argument("--only", action="append", help="a case, by the beginning of its name")
     parser.add_argument("--nominal", type=float, default=0.0, metavar="HOURS", help="of dives without a fault instead")
     given = parser.parse_args(words)
+    for beginning in given.only or ():
+        if not any(name.startswith(beginning) for name in (*CASES, ESC_LATE)):
+            parser.exit(2, f"--only {beginning}: no case begins so; choose from {', '.join((*CASES, ESC_LATE))}\n")
     if given.nominal:
         alarms = nominal(given.nominal, given.seed)
         print(f"{given.nominal} h without a fault: {len(alarms)} false alarms", *alarms, sep="\n")  # noqa: T201

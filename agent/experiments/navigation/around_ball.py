@@ -15,7 +15,7 @@ from agent.capabilities.swim.pose_filter import Belief
 from agent.core.config import Fleet, Goto, Look, Pose
 from agent.core.linear_algebra import difference, distance2, plus, upper, wrap
 from agent.core.messages import Vector
-from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value, rms
+from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, Value, rms
 from agent.experiments.navigation import basin
 from agent.experiments.navigation.basin import TANK, PlanarBodies, twin_bodies
 from agent.experiments.navigation.joint_filter import Replayed
@@ -207,7 +207,7 @@ def summary(rows: Rows) -> dict[str, Value]:
     found: dict[str, Value] = {}
     if "separation" in rows:
         of = rows["separation"]
-        found["separation_least_m"] = min(row["least_m"] for row in of)
+        found["separation_least_m"] = Quantile([row["least_m"] for row in of], 0.0)
         found["separation_keep"] = Share(sum(row["least_m"] >= RINGS_M for row in of), len(of))
         found["separation_reached"] = Share(sum(row["reached"] for row in of), sum(row["tried"] for row in of))
     if "target" in rows:

@@ -83,7 +83,7 @@ def summary(rows: Rows) -> dict[str, Value]:
     if "three" in rows:
         of, least_m = rows["three"], [row["least_m"] for row in rows["three"]]
         found["three_told"] = Share(sum(row["told"] for row in of), sum(row["robots"] for row in of))
-        found["three_least_m"] = min(least_m)
+        found["three_least_m"] = Quantile(least_m, 0.0)
         found["three_keep"] = Share(sum(apart_m >= RINGS_M for apart_m in least_m), len(least_m))
     return found
 

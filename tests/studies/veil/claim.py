@@ -13,7 +13,7 @@ import numpy as np
 
 from agent.capabilities.light.model import all_orders, single_veil
 from agent.core.config import Beam, WaterOptics
-from agent.experiments.claim import Claim, Figure, Row, Rows, Share, Value
+from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, Value
 from agent.experiments.dark_water import INDEX, RADIUS_M, WATERS
 from hw.twin.optics.lamps import transmission
 from hw.twin.optics.raycast import LampBeam, Optics
@@ -101,7 +101,7 @@ def summary(rows: Rows) -> dict[str, Value]:
         for orders, limit in (("first", FIRST), ("every", EVERY)):
             shares = [abs(row[f"{who}_{orders}"]) for row in off]
             found[f"{who}_{orders}"] = Share(sum(share <= limit for share in shares), len(shares))
-            found[f"{who}_{orders}_worst"] = 100.0 * max(shares)
+            found[f"{who}_{orders}_worst"] = Quantile([100.0 * share for share in shares], 100.0)
     return found
 
 
