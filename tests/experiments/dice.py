@@ -1,5 +1,6 @@
 """A claim that costs nothing, to test the runner with: `python -m tests.experiments.dice FOLDER [SECONDS]`."""
 
+import signal
 import sys
 import time
 from pathlib import Path
@@ -71,4 +72,5 @@ def throw(folder: Path, seconds: float = 0.0, jobs: int | None = 2, scheduler: s
 
 
 if __name__ == "__main__":
+    signal.signal(signal.SIGINT, signal.default_int_handler)  # what a shell runs in the background ignores it
     throw(Path(sys.argv[1]), float(sys.argv[2]) if len(sys.argv) > 2 else 0.0)
