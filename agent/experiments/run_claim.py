@@ -150,9 +150,11 @@ def on_processes(plan: Plan, pieces: Sequence[tuple[str, int]], jobs: int) -> Re
             waiting, failed = set(futures), list[Future[str]]()
             while waiting and not asked and not failed:
                 done, waiting = wait(waiting, LOOK_S, FIRST_COMPLETED)
-                failed = [future for future in done if future.exception() is not None]
-                for future in done.difference(failed):
-                    yield futures[future], future.result()
+                ended = [future for future in futures if future in done]  # in order: of several that fail, the first
+                failed = [future for future in ended if future.exception() is not None]
+                for future in ended:
+                    if future not in failed:
+                        yield futures[future], future.result()
         finally:
             for worker in multiprocessing.active_children() if waiting else ():
                 if worker not in others:
