@@ -9,6 +9,7 @@ from __future__ import annotations
 import csv
 import math
 from collections.abc import Mapping, Sequence
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple, get_args
 
@@ -49,12 +50,13 @@ def marked_pictures(folder: Path) -> list[tuple[Path, list[MarkedBall]]]:
     pictures = picture_files(folder)
     marked: dict[str, list[MarkedBall]] = {path.name: [] for path in pictures}
     table = folder / NAME
+    size_of = cache(lambda name: stated_size(read_file(folder / name, MOST_BYTES)))
     if table.exists():
         for line, row in _rows(table):
             where, name = f"{table}: line {line}", row["file"]
             if name not in marked:
                 raise ConfigError(f"{where}: no picture '{name}' beside it; correct the name")
-            ball, size = _ball(row, where), stated_size(read_file(folder / name, MOST_BYTES))
+            ball, size = _ball(row, where), size_of(name)
             if size is not None and not _shows(ball, size):
                 text = f"nothing of the ball is in {name}, of {size[0]}x{size[1]} pixels"
                 raise ConfigError(f"{where}: {text}; correct u_px, v_px or radius_px")

@@ -206,7 +206,7 @@ figure was measured on:
 
 *Judged too*: programs of others measured the same thing, [at their own settings](../outside.md).
 
-*Older than the code*: modules that the claim measures have changed since. Of results before 2026-11-30 the ends of
+*Older than the code*: modules that the claim measures have changed since. Of most results before 2026-11-30 the ends of
 narrower intervals were kept, and no seeds. Theirs are made of those ends, [as wide as others](../experiments.md).
 """
 

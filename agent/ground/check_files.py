@@ -262,14 +262,11 @@ def unit_findings(fleet: Fleet) -> Iterator[Finding]:
 
 def place_findings(fleet: Fleet) -> Iterator[Finding]:
     """Robots that are in one place, lie on the floor or share a calibration, and tags that are better not used."""
-    files = [(name, robot.calibration, host_and_port(robot.listen)[0]) for name, robot in fleet.robot.items()]
-    for (one, *its), (other, *others) in itertools.combinations(files, 2):
-        if its == others:
-            text = f"{one} and {other} have one calibration, {its[0]}; each camera needs its own"
+    for (one, a), (other, b) in itertools.combinations(fleet.robot.items(), 2):
+        if a.calibration == b.calibration and host_and_port(a.listen)[0] == host_and_port(b.listen)[0]:
+            text = f"{one} and {other} have one calibration, {a.calibration}; each camera needs its own"
             yield Finding("warning", "fleet", text)
-    places = [(name, robot.pose, robot.depth_m) for name, robot in fleet.robot.items()]
-    for (one, a, a_m), (other, b, b_m) in itertools.combinations(places, 2):
-        if math.dist((a.x_m, a.y_m, a_m), (b.x_m, b.y_m, b_m)) < BESIDE_M:
+        if math.dist((a.pose.x_m, a.pose.y_m, a.depth_m), (b.pose.x_m, b.pose.y_m, b.depth_m)) < BESIDE_M:
             text = f"{one} and {other} have the same place; correct x_m, y_m or depth_m of one"
             yield Finding("warning", "fleet", text)
     deepest_m = fleet.tank.surface_m - UNDER_M

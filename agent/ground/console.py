@@ -207,9 +207,8 @@ class _Asked:
             return
         if self._first_s is None:
             if now_s - start_s > heard_s:
-                self.outcome = Outcome(
-                    None, f"was not heard in {heard_s:g} s, and was told nothing: order again", now_s - start_s
-                )
+                text = f"was not heard in {heard_s:g} s, and was told nothing: order again"
+                self.outcome = Outcome(None, text, now_s - start_s)
         elif now_s - self._first_s >= answer_s:
             why = "" if self._error in ("", "Timeout") else f": {self._error}"
             text = f"did not answer within {answer_s:g} s{why}; the order may still act"

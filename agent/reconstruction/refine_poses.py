@@ -52,9 +52,7 @@ def covariance_of(rotation: Floats, arm_m: Floats, sigmas: Sigmas) -> Floats:
     turns = [(np.array([0.0, 0.0, 1.0]), sigmas.yaw_rad, True)]
     turns += [(axis, sigmas.level_rad, True) for axis in np.eye(3)[:2]]
     turns += [(axis, sigmas.gimbal_rad, False) for axis in (np.array([0.0, 0.0, 1.0]), rotation[:, 0])]
-    shifts = [
-        (axis, sigma) for axis, sigma in zip(np.eye(3), (sigmas.place_m, sigmas.place_m, sigmas.depth_m), strict=True)
-    ]
+    shifts = zip(np.eye(3), (sigmas.place_m, sigmas.place_m, sigmas.depth_m), strict=True)
     total = np.zeros((6, 6))
     for axis, sigma, with_arm in turns:
         moved = np.cross(axis, arm_m) if with_arm else np.zeros(3)
@@ -323,11 +321,8 @@ def _median(values: Floats) -> float:
 
 def _reach_px(views: Sequence[View], stack: Stack, found: Corners) -> float:
     """How far from where it should be a corner may be in another picture, by what poses are said to be wrong by."""
-    variance = (
-        np.array([np.diag(view.pose_covariance + view.own_covariance) for view in views])
-        .reshape(-1, 2, 3)
-        .mean(axis=(0, 2))
-    )
+    each = np.array([np.diag(view.pose_covariance + view.own_covariance) for view in views])
+    variance = each.reshape(-1, 2, 3).mean(axis=(0, 2))
     z = float(np.median(found.depth_m)) if len(found.depth_m) else 1.0
     sigma_px = float(stack.cameras[:, 0].max()) * np.sqrt(2.0 * (variance[0] + variance[1] / z**2))
     return float(np.clip(REACH_SIGMAS * sigma_px, LEAST_REACH_PX, MOST_REACH_PX))

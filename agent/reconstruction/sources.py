@@ -95,23 +95,23 @@ def view_of(box: BlackBox, moved: Motion, sweep: TakenSweep) -> View | str:
     if cut is None:
         return "frames that do not lie on each other"
     clearest = cut.clearest
-    eye = _eye(box, moved, frames[clearest].sighting.t_ns)
-    if eye is None:
+    pose = _pose(box, moved, frames[clearest].sighting.t_ns)
+    if pose is None:
         return "whereabouts unknown"
     corner = cut.corners_px[clearest]
-    swept: Swept = keyframe(cut.images, lens_positions, box.calibration, eye.tilt_rad, corner, cut.grown_about_px)
+    swept: Swept = keyframe(cut.images, lens_positions, box.calibration, pose.tilt_rad, corner, cut.grown_about_px)
     return View(
         robot=box.robot,
         incarnation=str(box.incarnation),
         seq=sweep.number,
         camera=swept.camera,
-        rotation=eye.rotation,
-        position_m=eye.position_m,
-        pose_covariance=eye.shared,
+        rotation=pose.rotation,
+        position_m=pose.position_m,
+        pose_covariance=pose.shared,
         picture=swept.picture,
         depth_m=swept.depth.depth_m,
         sigma_m=swept.depth.sigma_m,
-        own_covariance=eye.own,
+        own_covariance=pose.own,
     )
 
 
@@ -129,7 +129,7 @@ class Cut(NamedTuple):
 
 
 def aligned(frames: Sequence[SweepFrame]) -> Cut | None:
-    """None where that cannot be told, or is too little."""
+    """The part that all frames show; None where it cannot be told, or is too small."""
     seen = [frame.sighting.centre_px for frame in frames if frame.sighting.radius_px]
     by_target = len(seen) == len(frames)
     at = np.array(seen, float) if by_target else _drift(frames)
@@ -169,8 +169,8 @@ def _drift(frames: Sequence[SweepFrame]) -> Floats | None:
     return np.array(at)
 
 
-class Eye(NamedTuple):
-    """The camera at one moment."""
+class CameraPose(NamedTuple):
+    """Where the camera is believed to be at one moment, and how wrong that may be."""
 
     rotation: Floats  # (3, 3) camera to world
     position_m: Floats  # (3,)
@@ -179,7 +179,7 @@ class Eye(NamedTuple):
     tilt_rad: float  # how far it looks up
 
 
-def _eye(box: BlackBox, moved: Motion, t_ns: int) -> Eye | None:
+def _pose(box: BlackBox, moved: Motion, t_ns: int) -> CameraPose | None:
     """None: unknown. Where a moored robot is was surveyed once; one that swims is wrong anew each time."""
     level = moved.level(t_ns)
     if level is None:
@@ -199,7 +199,7 @@ def _eye(box: BlackBox, moved: Motion, t_ns: int) -> Eye | None:
     eye = camera_pose(pose, fleet.body, level.depth_m, level.roll_deg, level.pitch_deg, pan, tilt, surface_m)
     rotation, position = np.array(eye.rotation), np.array(eye.position_m)
     arm = position - np.array(eye.body_m)
-    return Eye(
+    return CameraPose(
         rotation,
         position,
         covariance_of(rotation, arm, Sigmas(*always, math.radians(camera.noise_deg))),

@@ -341,7 +341,7 @@ STRETCH_REACH = 1 << LEVELS  # pixels to each side that a pixel is stretched by
 
 def is_round(stretch: Floats) -> bool:
     """Whether no pixel is stretched."""
-    return not len(stretch) or bool(np.abs(stretch).max() <= ROUND)
+    return bool(np.abs(stretch).max() <= ROUND)
 
 
 @kernel

@@ -118,8 +118,8 @@ def test_a_point_becomes_an_ellipse_of_these_half_axes(away_px, around_px, towar
     stretched(blurred, *everywhere, 4, 4, out)
     w, offset = out[..., 0].astype(float), np.arange(SIDE - 8) - (SIDE // 2 - 4)
     assert w.sum() == pytest.approx(1, abs=2e-3)
-    covariance = np.array([[(w.sum(0) * offset**2).sum(), (offset @ w @ offset)], [0, (w.sum(1) * offset**2).sum()]])
-    covariance[1, 0] = covariance[0, 1]
+    askew = offset @ w @ offset
+    covariance = np.array([[(w.sum(0) * offset**2).sum(), askew], [askew, (w.sum(1) * offset**2).sum()]])
     direction = np.array([math.cos(math.radians(towards_deg)), math.sin(math.radians(towards_deg))])
     along, across = direction @ covariance @ direction, np.array([-1, 1]) * direction[::-1]
     assert along - across @ covariance @ across == pytest.approx((away_px**2 - around_px**2) / 4, rel=0.03)
