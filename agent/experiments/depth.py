@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from agent.core.ranging.camera_model import CameraFit, FocusFit, offset
+from agent.core.ranging.camera_model import CameraFit, FocusFit, at_lens_position, offset
 from agent.core.ranging.focus import Array, Method, TiltedPeak, as_on_axis, at_tilt, fit_peaks, port_share, with_sag
 from agent.experiments.claim import Claim, Figure, Row, Rows, Value
 from agent.experiments.still_camera import (
@@ -28,8 +28,9 @@ from agent.experiments.still_camera import (
     sweep_view,
     truth_on,
 )
+from agent.perception.clarity import grid
 from agent.perception.depth_peaks import each_part, middle_px
-from agent.perception.depth_sweep import MIN_QUALITY, DepthMap, clarity_of, measure
+from agent.perception.depth_sweep import MIN_QUALITY, DepthMap, clarity_of, measure, outward
 from agent.tools.focus_calibration import Aside, FocusRow, fit_field, fit_focus
 from hw.camera.camera import Roi
 
@@ -64,14 +65,19 @@ def calibrate(camera: StillCamera, growth: float, repeats: int = WALL_REPEATS) -
 
 def wall_places(camera: StillCamera, growth: float) -> list[Aside]:
     """Peaks of the wall all over the picture, at two distances: what the lens does off its axis."""
-    seen, rho, places = camera.seen(), np.array(lens_positions(camera), float), list[Aside]()
+    rho, places = np.array(lens_positions(camera), float), list[Aside]()
     for number, u_m in enumerate(FIELD_M):
         camera.view = facing_wall(u_m)
-        peaks = measure(clarity_of(sweep(camera), rho, BLOCK_PX, growth), BLOCK_PX, None).blocks
+        taken = clarity_of(sweep(camera), rho, BLOCK_PX, growth)
+        peaks, seen = (
+            measure(taken, BLOCK_PX, None).blocks,
+            at_lens_position(camera.seen(), float(rho[taken.reference])),
+        )
+        ways = outward(taken, seen, *(grid(length, BLOCK_PX) for length in taken.sharp.shape[:2]))
         for row, col in np.argwhere(peaks.accepted):
-            px = middle_px(int(row), int(col), BLOCK_PX)
+            px, way = middle_px(int(row), int(col), BLOCK_PX), float(ways[row, col])
             peak, sigma = float(peaks.lens_position[row, col]), float(peaks.sigma[row, col])
-            places.append(Aside(number, as_on_axis(u_m, port_share(seen, px)), offset(seen, px), peak, sigma))
+            places.append(Aside(number, as_on_axis(u_m, port_share(seen, px, way)), offset(seen, px), peak, sigma))
     return places
 
 

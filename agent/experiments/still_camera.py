@@ -97,6 +97,7 @@ class StillCamera:
             cy_px=lens.centre_px[1],
             bend=0.5 * (WATER_INDEX**2 - 1.0),
             ahead_m=(1.0 - WATER_INDEX) * lens.port_gap_m,
+            breathing=lens.per_position_m / lens.at_rest_m,
         )
 
     def truth_m(self, lens_position: float) -> Floats:

@@ -317,7 +317,8 @@ def measure(
     camera: CameraFit | None = None,
 ) -> DepthMap:
     """Peak of every block's curve, and its range where a calibration tells it; every method keeps the same blocks.
-    camera: that took the pictures, which begin at corner_px of it, so that ranges off its axis are right as well.
+    camera: that took the pictures, as calibrated; they begin at corner_px of it. With it ranges off its axis are right
+    as well.
 
     Where the sweep was taken to be split, blocks with two depths are refused, and their parts are measured.
     """
@@ -340,6 +341,8 @@ def measure(
     blocks = as_sure(blocks, scale if own is None else own, block * block)
     blocks = blocks if method == "matched" else blocks.by(method, x, taken.clarity)
     if focus is not None:
+        if camera is not None:  # the picture in which blocks are squares has grown since
+            camera = at_lens_position(camera, float(x[taken.reference]))
         blocks = blocks.ranged(focus, camera, block, taken.corner_px, _outward_of(taken, camera, block, 1))
         if parts is not None:
             way = _outward_of(taken, camera, block, cuts(block) // 2)

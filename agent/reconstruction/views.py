@@ -453,7 +453,7 @@ def keyframe(
     swept = clarity_of(list(images), lens_positions, block, growth, split=True)
     focus = at_tilt(calibration.swept, tilt_rad)
     fit = at_lens_position(calibration.camera, float(lens_positions[swept.reference]))
-    found = measure(swept._replace(corner_px=corner_px), block, focus, camera=fit)
+    found = measure(swept._replace(corner_px=corner_px), block, focus, camera=calibration.camera)
     whole = Camera(fit.f_px, fit.cx_px - corner_px[0], fit.cy_px - corner_px[1], fit.bend, fit.ahead_m, width, height)
     size = 1.0 + growth * (lens_positions - lens_positions[0]) / (lens_positions[-1] - lens_positions[0])
     size = size / size[swept.reference]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.core.config import ConfigError, write_whole, writing
-from agent.core.ranging.camera_model import CameraFit, FocusFit, load_focus
+from agent.core.ranging.camera_model import CameraFit, FocusFit, at_lens_position, load_focus
 from agent.core.ranging.focus import ANY_WAY, FARTHEST_M, Array, NoPeak, at_tilt, h
 from agent.perception.clarity import INNER_BOX
 from agent.perception.depth_peaks import TEXTS, BoxRange, GridPeaks, any_part, as_json, box_range, cuts, each_part
@@ -281,6 +281,7 @@ def depth_map(
     if box is not None and taken.box_clarity is not None:
         way = ANY_WAY
         if lens is not None:
+            lens = at_lens_position(lens, float(taken.lens_positions[taken.reference]))
             x, y, width, height = box.grown(INNER_BOX).moved(-taken.corner_px[0], -taken.corner_px[1])
             rows, cols = (np.rint([first, first + size]).astype(int) for first, size in ((y, height), (x, width)))
             way = float(outward(taken, lens, rows, cols)[0, 0])
