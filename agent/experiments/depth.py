@@ -7,13 +7,24 @@ their blocks, so that nothing but the peak differs.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import msgspec
 import numpy as np
 from msgspec.structs import replace
 
 from agent.core.ranging.camera_model import CameraFit, FocusFit, at_lens_position, offset
-from agent.core.ranging.focus import Array, Method, TiltedPeak, as_on_axis, at_tilt, fit_peaks, port_share, with_sag
+from agent.core.ranging.focus import (
+    Array,
+    Method,
+    TiltedPeak,
+    as_on_axis,
+    at_tilt,
+    fit_peaks,
+    port_share,
+    shift,
+    with_sag,
+)
 from agent.experiments.claim import Claim, Figure, Row, Rows, Value
 from agent.experiments.still_camera import (
     BLOCK_PX,
@@ -48,7 +59,8 @@ WALL_PX = 400  # side of the picture's middle that sees it
 
 def calibrate(camera: StillCamera, growth: float, repeats: int = WALL_REPEATS) -> FocusFit:
     """The wall square to the camera at known distances, then looking up and down at it for the lens's sag."""
-    found, share = [], wall_share(camera)
+    seen, found = camera.seen(), list[FocusRow]()
+    share = over_middle(camera, lambda px: port_share(seen, px))
     for u_m in np.repeat(WALL_M, repeats).tolist():
         peak = wall_peak(camera, facing_wall(u_m), growth)
         if peak is not None:
@@ -59,8 +71,10 @@ def calibrate(camera: StillCamera, growth: float, repeats: int = WALL_REPEATS) -
             peak, tilt = wall_peak(camera, facing_wall(u_m, tilt_deg), growth), math.radians(tilt_deg)
             if peak is not None:
                 tilted.append(TiltedPeak(as_on_axis(u_m / math.cos(tilt), share), peak[0], tilt))
-    fit = fit_focus(found)
-    return with_sag(replace(fit, field=fit_field(fit, wall_places(camera, growth))), tilted)
+    field = fit_field(fit_focus(found), wall_places(camera, growth))
+    in_middle = over_middle(camera, lambda px: shift(field, offset(seen, px)))
+    fit = fit_focus([row._replace(rho=row.rho - in_middle) for row in found])
+    return with_sag(replace(fit, field=field), tilted)
 
 
 def wall_places(camera: StillCamera, growth: float) -> list[Aside]:
@@ -87,11 +101,11 @@ def wall_part(camera: StillCamera) -> Roi:
     return Roi((width - WALL_PX) // 16 * 8, (height - WALL_PX) // 16 * 8, WALL_PX, WALL_PX)
 
 
-def wall_share(camera: StillCamera) -> float:
-    """What the flat port makes of the wall's distance there, in the median of the blocks."""
-    part, seen = wall_part(camera), camera.seen()
+def over_middle(camera: StillCamera, of_px: Callable[[tuple[float, float]], float]) -> float:
+    """The median there, over the blocks, of something that differs from pixel to pixel."""
+    part = wall_part(camera)
     middles = [(k + 0.5) * BLOCK_PX - 0.5 for k in range(WALL_PX // BLOCK_PX)]
-    return float(np.median([port_share(seen, (part.x + x, part.y + y)) for x in middles for y in middles]))
+    return float(np.median([of_px((part.x + x, part.y + y)) for x in middles for y in middles]))
 
 
 def wall_peak(camera: StillCamera, view: TankView, growth: float) -> tuple[float, float] | None:

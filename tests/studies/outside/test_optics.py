@@ -55,3 +55,13 @@ def test_mitsuba_sees_what_the_twin_sees(part):
     found = list(part(True))
     assert found
     assert not [finding for finding in found if not finding.passes]
+
+
+@pytest.mark.slow
+def test_both_look_at_the_same_piece_of_the_wall():
+    pytest.importorskip("mitsuba", reason="no Mitsuba here: pip install mitsuba")
+    lens = optics.camera_lens()
+    painter = optics.in_twin(lens, optics.Scene(name="wall", water=optics.CLEAR))
+    in_focus_m = optics.focused_m(lens, optics.apparent(lens, 0.8))
+    twin, other = optics.grained(painter, lens, 0.8, in_focus_m, (8, 192, 128, 96), 64)
+    assert np.corrcoef(twin.ravel(), other.ravel())[0, 1] > 0.9  # of another piece 0.3 at most
