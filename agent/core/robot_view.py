@@ -116,6 +116,15 @@ def turn(yaw_deg: float, pitch_deg: float, roll_deg: float) -> Quaternion:
     )
 
 
+def camera_tilt_rad(state: State) -> float:
+    """How far the camera looks up, as its gimbal is told and its body is turned; level where that is not known."""
+    pan, tilt, roll, pitch = (
+        math.radians(deg or 0.0) for deg in (state.pan_deg, state.tilt_deg, state.roll_deg, state.pitch_deg)
+    )
+    ahead, left, up = math.cos(tilt) * math.cos(pan), math.cos(tilt) * math.sin(pan), math.sin(tilt)
+    return math.asin(-math.sin(pitch) * ahead + math.cos(pitch) * (math.sin(roll) * left + math.cos(roll) * up))
+
+
 def along_axes(name: str, x_m: Vector | None) -> dict[str, float | None]:
     """A place in columns; `name` has {} where x, y and z stand."""
     return {name.format(axis): value for axis, value in zip(AXES, x_m or (None, None, None), strict=True)}

@@ -13,7 +13,7 @@ import msgspec
 import numpy as np
 from msgspec.structs import replace
 
-from agent.core.ranging.camera_model import CameraFit, FocusFit, at_lens_position, offset
+from agent.core.ranging.camera_model import CameraFit, FocusFit, at_lens_position, on_sensor
 from agent.core.ranging.focus import (
     Array,
     Method,
@@ -72,7 +72,7 @@ def calibrate(camera: StillCamera, growth: float, repeats: int = WALL_REPEATS) -
             if peak is not None:
                 tilted.append(TiltedPeak(as_on_axis(u_m / math.cos(tilt), share), peak[0], tilt))
     field = fit_field(fit_focus(found), wall_places(camera, growth))
-    in_middle = over_middle(camera, lambda px: shift(field, offset(seen, px)))
+    in_middle = over_middle(camera, lambda px: shift(field, on_sensor(seen, px, seen.lens)))
     fit = fit_focus([row._replace(rho=row.rho - in_middle) for row in found])
     return with_sag(replace(fit, field=field), tilted)
 
@@ -91,7 +91,8 @@ def wall_places(camera: StillCamera, growth: float) -> list[Aside]:
         for row, col in np.argwhere(peaks.accepted):
             px, way = middle_px(int(row), int(col), BLOCK_PX), float(ways[row, col])
             peak, sigma = float(peaks.lens_position[row, col]), float(peaks.sigma[row, col])
-            places.append(Aside(number, as_on_axis(u_m, port_share(seen, px, way)), offset(seen, px), peak, sigma))
+            sharp_m = as_on_axis(u_m, port_share(seen, px, way))
+            places.append(Aside(number, sharp_m, on_sensor(seen, px, peak), peak, sigma))
     return places
 
 

@@ -66,7 +66,7 @@ def z_depth(
     see `focus.port_share`."""
     if camera is None:
         return h(focus, rho)
-    u_m = h(in_direction(focus, camera, px), rho)
+    u_m = h(in_direction(focus, camera, px, rho), rho)
     return None if u_m is None else through_port(u_m, port_share(camera, px, outward))
 
 
@@ -491,7 +491,8 @@ def box_range(
         return NoPeak(f"the peak at {peak.lens_position:.0f} is sharp beyond all ranges of this calibration")
     share = 1.0
     if camera is not None:
-        focus, share = in_direction(focus, camera, box.centre_px), port_share(camera, box.centre_px, outward)
+        focus = in_direction(focus, camera, box.centre_px, peak.lens_position)
+        share = port_share(camera, box.centre_px, outward)
     sigma_m = math.sqrt(sum(range_variance(focus, peak.lens_position, sigma))) / share
     return found._replace(range_m=range_m, range_sigma_m=sigma_m)
 

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from agent.core.config import ConfigError
 from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, at_lens_position
-from agent.core.ranging.focus import ANY_WAY, MIN_POSITIONS, Array, Method, NoPeak, phase_sigma
+from agent.core.ranging.focus import ANY_WAY, MIN_POSITIONS, Array, Method, NoPeak, at_tilt, phase_sigma
 from agent.core.step_io import BlockPeaks, SweepPlan
 from agent.perception.clarity import (
     Edges,
@@ -82,7 +82,7 @@ class DepthSweep(NamedTuple):
     reference: int  # the position whose picture is largest; blocks are squares there, and smaller in the others
     box_clarity: Array | None = None  # (n,) in the middle of the box, drawn in the largest picture
     finer: Finer | None = None  # what edges in depth are found with; None: blocks of so few pixels are not cut
-    corner_px: tuple[int, int] = (0, 0)  # of what was measured, in the first picture
+    corner_px: tuple[float, float] = (0.0, 0.0)  # of what was measured, in the first picture
     moved_px: float = 0.0  # that the picture moved during the sweep, which was undone
 
 
@@ -95,7 +95,7 @@ class DepthMap(NamedTuple):
     sharp: Image
     growth: float
     box_range: BoxRange | NoPeak | None = None  # of what is in the box, if there is one
-    corner_px: tuple[int, int] = (0, 0)  # of the map, in the first picture
+    corner_px: tuple[float, float] = (0.0, 0.0)  # of the map, in the first picture
     moved_px: float = 0.0  # that the picture moved during the sweep, which was undone
 
     @property
@@ -403,9 +403,9 @@ BLOCK_PX = 25  # half of what a whole view gets: the part that a sweep reads is 
 MIN_BLOCKS = 4  # across and down; less is no map
 
 
-def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> SweepDepth | None:
-    """The map of one sweep, as `aucamp depth-map` makes it; None where too few frames show the target, or too little
-    around it.
+def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration, tilt_rad: float) -> SweepDepth | None:
+    """The map of one sweep of a camera that looks up by tilt_rad, as `aucamp depth-map` makes it; None where too few
+    frames show the target, or too little around it.
 
     Frames without a ball are left out: nothing says where they belong. A box around something else trembles too much.
     """
@@ -426,10 +426,11 @@ def sweep_depth(frames: Sequence[SweepFrame], calibration: Calibration) -> Sweep
     x, y = _centre(reference)
     left_px, top_px = reference.roi[0] + x - half_x, reference.roi[1] + y - half_y
     taken = taken._replace(corner_px=(left_px, top_px))
-    found = measure(taken, BLOCK_PX, calibration.focus, camera=calibration.camera)
+    found = measure(taken, BLOCK_PX, at_tilt(calibration.swept, tilt_rad), camera=calibration.camera)
     assert found.blocks.range_m is not None  # there is a calibration
     return SweepDepth(
         t_ns=seen[0].sighting.t_ns,
+        lens_position=round(float(lens_positions[taken.reference])),
         block_px=BLOCK_PX,
         left_px=left_px,
         top_px=top_px,

@@ -23,7 +23,7 @@ from msgspec import Meta
 
 from agent.core.codec import as_text
 from agent.core.config import ConfigError, Pose, check_depth, convert, inside, read_file
-from agent.core.ranging.camera_model import camera_pose, gimbal_deg
+from agent.core.ranging.camera_model import CameraFit, at_lens_position, camera_pose, gimbal_deg
 from agent.perception.clarity import gradient_energy, luminance
 from agent.process.command import Progress, Show
 from agent.reconstruction.refine_poses import Sigmas, covariance_of
@@ -98,7 +98,7 @@ def view_of(box: BlackBox, moved: Motion, sweep: TakenSweep) -> View | str:
     pose = _pose(box, moved, frames[clearest].sighting.t_ns)
     if pose is None:
         return "whereabouts unknown"
-    corner = cut.corners_px[clearest]
+    corner = _corner_px(cut, clearest, box.calibration.camera, lens_positions)
     swept: Swept = keyframe(cut.images, lens_positions, box.calibration, pose.tilt_rad, corner, cut.grown_about_px)
     return View(
         robot=box.robot,
@@ -126,6 +126,21 @@ class Cut(NamedTuple):
     def clearest(self) -> int:
         """The frame of which a sharp picture shows most: where things are in it is where the camera was then."""
         return int(np.argmax([gradient_energy(luminance(image)).mean() for image in self.images]))
+
+
+def _corner_px(cut: Cut, clearest: int, camera: CameraFit, lens_positions: Floats) -> tuple[float, float]:
+    """Of the part in the whole picture, as it lies in the clearest frame, but for the size of the largest. Frames that
+    are laid on a target grow about it, and the optical axis goes away from it as they do."""
+    corner = cut.corners_px[clearest]
+    if cut.grown_about_px is None:
+        return corner
+    f_px = [at_lens_position(camera, float(position)).f_px for position in lens_positions]
+    growth = max(f_px) / f_px[clearest] - 1.0
+    x, y = (
+        at - growth * (axis - at - about)
+        for at, axis, about in zip(corner, (camera.cx_px, camera.cy_px), cut.grown_about_px, strict=True)
+    )
+    return x, y
 
 
 def aligned(frames: Sequence[SweepFrame]) -> Cut | None:

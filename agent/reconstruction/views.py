@@ -437,7 +437,7 @@ def keyframe(
     lens_positions: Array,
     calibration: Calibration,
     tilt_rad: float,
-    corner_px: tuple[int, int] = (0, 0),
+    corner_px: tuple[float, float] = (0.0, 0.0),
     grown_about_px: tuple[float, float] | None = None,
 ) -> Swept:
     """Frames of one sweep, in the order of their lens positions (n,); the camera looks up by tilt_rad.

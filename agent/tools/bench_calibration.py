@@ -33,8 +33,9 @@ from agent.core.ranging.camera_model import (
     CameraFit,
     FocusFit,
     TimingFit,
+    at_lens_position,
     gimbal_deg,
-    offset,
+    on_sensor,
     ray,
     servos_us,
 )
@@ -153,6 +154,7 @@ class SeenAside(NamedTuple):
 
     sweep: int
     ahead_m: float  # of the board
+    lens_position: float  # of the picture in which it is at px
     px: tuple[float, float]
     peak: Peak
 
@@ -170,8 +172,9 @@ def focus_rows(
         if peak is not None:
             rows.append(FocusRow(float(u_m), peak.lens_position, peak.width, peak.sigma))
             if done in WHOLE:
-                found = peaks_aside(sweep_whole(fleet, camera, limits, peak))
-                aside += [SeenAside(done, float(u_m), px, there) for px, there in found]
+                swept = sweep_whole(fleet, camera, limits, peak)
+                midst = 0.5 * (swept.lens_positions[0] + swept.lens_positions[-1])
+                aside += [SeenAside(done, float(u_m), midst, px, there) for px, there in peaks_aside(swept)]
         progress(done, DISTANCES)
     return rows, aside
 
@@ -204,7 +207,7 @@ def with_field(rows: Sequence[FocusRow], places: Sequence[Aside], seen: CameraFi
     if len(places) < FEWEST_PLACES:
         return plain
     field = fit_field(plain, places)
-    in_window = over_window(seen, lambda px: shift(field, offset(seen, px)))
+    in_window = over_window(seen, lambda px: shift(field, on_sensor(seen, px, seen.lens)))
     return replace(fit_focus([row._replace(rho=row.rho - in_window) for row in rows]), field=field)
 
 
@@ -228,8 +231,9 @@ def on_board(found: Sequence[SeenAside], fleet: Fleet, seen: CameraFit) -> list[
     pan, tilt = (math.radians(deg) for deg in gimbal_deg(seen, fleet.body, (centre_us, centre_us)))
     half_m = (COLUMNS + 1) * SQUARE_M / 2, (ROWS + 1) * SQUARE_M / 2
     places: list[Aside] = []
-    for sweep, ahead_m, px, peak in found:
-        m = ray(seen, px)
+    for sweep, ahead_m, midst, px, peak in found:
+        camera = at_lens_position(seen, midst)
+        m = ray(camera, px)
         x, y = m[0] / m[2], m[1] / m[2]
         across = x * math.sin(pan) + y * math.sin(tilt) * math.cos(pan)
         z_m = (ahead_m + seen.ahead_m * across) / (math.cos(pan) * math.cos(tilt) + across)
@@ -237,8 +241,8 @@ def on_board(found: Sequence[SeenAside], fleet: Fleet, seen: CameraFit) -> list[
         left_m = z_m * math.sin(pan) - (z_m - seen.ahead_m) * x
         up_m = z_m * math.sin(tilt) - (z_m - seen.ahead_m) * y
         if abs(left_m) < half_m[0] - rim_m and abs(up_m) < half_m[1] - rim_m:
-            u_m = as_on_axis(z_m, port_share(seen, px))
-            places.append(Aside(sweep, u_m, offset(seen, px), peak.lens_position, peak.sigma))
+            u_m, rho = as_on_axis(z_m, port_share(camera, px)), peak.lens_position
+            places.append(Aside(sweep, u_m, on_sensor(camera, px, rho), rho, peak.sigma))
     return places
 
 
@@ -585,7 +589,7 @@ def _curving(focus: FocusFit, camera: CameraFit) -> str:
     if focus.field is None:
         return "not measured: too little of the picture showed the board; ranges aside are taken for those of the axis"
     sides = (0.0, camera.width_px - 1.0), (0.0, camera.height_px - 1.0)
-    moved = [in_direction(focus, camera, corner) for corner in itertools.product(*sides)]
+    moved = [in_direction(focus, camera, corner, camera.lens) for corner in itertools.product(*sides)]
     shifts = [each.rho0 - focus.rho0 for each in moved]
     sigma = max(math.sqrt(max(each.covariance[5] - focus.covariance[5], 0.0)) for each in moved)
     return (

@@ -224,7 +224,7 @@ def write_csv(result: DepthMap, path: Path) -> None:
 
 
 def _lines(
-    grid: GridPeaks, size_px: float, wanted: NDArray[np.bool_], corner_px: tuple[int, int]
+    grid: GridPeaks, size_px: float, wanted: NDArray[np.bool_], corner_px: tuple[float, float]
 ) -> dict[tuple[int, int], Line]:
     """The columns from x_px on, by row and column of the square."""
     numbers = [(grid.lens_position, ".6g"), (grid.sigma, ".3g"), (grid.quality, ".4f")]

@@ -23,7 +23,7 @@ from scipy.special import ndtri, stdtrit
 
 from agent.core.config import ConfigError, convert, read_toml, write_whole
 from agent.core.linear_algebra import upper
-from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit, TimingFit, offset
+from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit, TimingFit, at_lens_position, on_sensor
 from agent.core.ranging.focus import TiltedPeak, as_on_axis, lens_position, port_share, range_variance, shift, with_sag
 from agent.process.command import Failed, free_name
 from hw.camera.files import read_rows
@@ -116,7 +116,7 @@ class Aside(NamedTuple):
 
     sweep: int
     u_m: float  # z-depth from the pivot of what is seen there, as h(rho) on the axis takes it: see `focus.as_on_axis`
-    offset: tuple[float, float]  # where it is seen, right and down of the optical axis, in f_px
+    on_sensor: tuple[float, float]  # where it is seen, by `camera_model.on_sensor`
     rho: float
     sigma: float  # of rho beside that of the other places
 
@@ -125,7 +125,7 @@ def fit_field(fit: FocusFit, places: Sequence[Aside]) -> FieldFit:
     """How peaks aside differ from those on the axis. Each sweep has a shift of its own: no lens comes back quite to
     where it was. Raises CalibrationRefused."""
     sweeps = sorted({place.sweep for place in places})
-    x, y = np.array([place.offset for place in places]).T
+    x, y = np.array([place.on_sensor for place in places]).T
     sigma = np.array([place.sigma for place in places])
     trust = float(np.median(sigma)) / sigma
     off = np.array([place.rho - lens_position(fit, place.u_m) for place in places])
@@ -360,6 +360,7 @@ OPTIONAL = (
     "sweep_id",
     "x_px",
     "y_px",
+    "picture_code",
 )
 LEVEL_DEG = 3.0  # a lens that looks up or down by less sags by 0.3 lens positions, within the noise of a peak
 GOOD_LEFT_OUT = 0.05  # share of the range: a distance that the others foretell worse is named in the verdict
@@ -425,13 +426,12 @@ def without_field(
     rows: Sequence[FocusRow], places: Sequence[Place], camera: CameraFit
 ) -> tuple[list[FocusRow], FieldFit]:
     """Peaks of places all over the picture as they would be on the axis, and the field. Raises CalibrationRefused."""
-    plain = [
-        row._replace(u_m=as_on_axis(row.u_m, port_share(camera, px))) for row, (_, px) in zip(rows, places, strict=True)
-    ]
-    aside = [
-        Aside(sweep, row.u_m, offset(camera, px), row.rho, row.sigma)
-        for row, (sweep, px) in zip(plain, places, strict=True)
-    ]
+    aside = list[Aside]()
+    for row, place in zip(rows, places, strict=True):
+        at = at_lens_position(camera, place.picture_code)
+        u_m = as_on_axis(row.u_m, port_share(at, place.px))
+        aside.append(Aside(place.sweep, u_m, on_sensor(at, place.px, row.rho), row.rho, row.sigma))
+    plain = [row._replace(u_m=at.u_m) for row, at in zip(rows, aside, strict=True)]
     field = fit_field(fit_focus(plain), aside)
     for _ in range(FIELD_PASSES - 1):
         field = fit_field(fit_focus(_on_axis(plain, aside, field)), aside)
@@ -440,7 +440,7 @@ def without_field(
 
 def _on_axis(rows: Sequence[FocusRow], aside: Sequence[Aside], field: FieldFit) -> list[FocusRow]:
     """The peaks as they would be on the axis by this field."""
-    return [row._replace(rho=row.rho - shift(field, at.offset)) for row, at in zip(rows, aside, strict=True)]
+    return [row._replace(rho=row.rho - shift(field, at.on_sensor)) for row, at in zip(rows, aside, strict=True)]
 
 
 class Place(NamedTuple):
@@ -448,6 +448,7 @@ class Place(NamedTuple):
 
     sweep: int
     px: tuple[float, float]
+    picture_code: float  # of the picture in which it is there
 
 
 class Measured(NamedTuple):
@@ -495,7 +496,8 @@ def read_table(path: Path) -> Measured:
         rows.append(FocusRow(u_mm * 1e-3, code, width))
         if "x_px" in header:
             x, y = (_number(path, number, column, line[column]) for column in ("x_px", "y_px"))
-            places.append(Place(sweeps.index(line.get("sweep_id") or ""), (x, y)))
+            seen_at = _number(path, number, "picture_code", line["picture_code"]) if line.get("picture_code") else code
+            places.append(Place(sweeps.index(line.get("sweep_id") or ""), (x, y), seen_at))
     _check_ranges(path, [row.u_m for row in rows])
     known = [row.width for row in rows if math.isfinite(row.width)]
     rho = [row.rho for row in rows] or [0.0]

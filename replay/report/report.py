@@ -295,11 +295,11 @@ def _depth_maps(run: Run, depth: MeasureDepth) -> Iterator[Figure]:
     start_ns = run.start_ns or 0
     for timeline in run.robots:
         sweeps = (
-            (box, frames)
+            (box, frames, tilt_rad)
             for box in timeline.boxes
-            for frames in whole_sweeps(read(box.path), box.fleet.camera.sweep_steps)
+            for frames, tilt_rad in whole_sweeps(read(box.path), box.fleet.camera.sweep_steps)
         )
-        maps = (depth(frames, box.calibration) for box, frames in sweeps)
+        maps = (depth(frames, box.calibration, tilt_rad) for box, frames, tilt_rad in sweeps)
         found = next((each for each in maps if each is not None), None)
         if found is not None:
             yield figures.depth_map(timeline.robot, (found.t_ns - start_ns) * 1e-9, found)

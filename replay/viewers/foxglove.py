@@ -73,13 +73,21 @@ def transforms(view: RobotView, body: Body) -> Any | None:
 
 
 def calibration(robot: str, fit: CameraFit, roi: tuple[int, int, int, int], t_ns: int) -> Any:
-    """foxglove.CameraCalibration of a part of the frame, `roi` = (x, y, width, height): a pinhole in water."""
+    """foxglove.CameraCalibration of a part of the frame, `roi` = (x, y, width, height), with the port's bend."""
     cx, cy = fit.cx_px - roi[0], fit.cy_px - roi[1]
     k = [fit.f_px, 0.0, cx, 0.0, fit.f_px, cy, 0.0, 0.0, 1.0]
     p = [fit.f_px, 0.0, cx, 0.0, 0.0, fit.f_px, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     r = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
     return CameraCalibration(
-        timestamp=stamp(t_ns), frame_id=f"{robot}/camera", width=roi[2], height=roi[3], K=k, R=r, P=p
+        timestamp=stamp(t_ns),
+        frame_id=f"{robot}/camera",
+        width=roi[2],
+        height=roi[3],
+        distortion_model="plumb_bob",
+        D=[fit.bend, 0.0, 0.0, 0.0, 0.0],
+        K=k,
+        R=r,
+        P=p,
     )
 
 

@@ -20,8 +20,8 @@ from agent.core.capability_messages import TURN_ONE, Claim, Frame, Keyframe, Vie
 from agent.core.codec import Refusal, decode
 from agent.core.config import Fleet
 from agent.core.messages import Image, LogLine, Message, State
-from agent.core.ranging.camera_model import Calibration, CameraFit
-from agent.core.robot_view import RobotView, in_own_name, robot_view
+from agent.core.ranging.camera_model import Calibration, CameraFit, at_lens_position, ray
+from agent.core.robot_view import RobotView, camera_tilt_rad, in_own_name, robot_view
 from agent.core.step_io import Inputs, Outputs, Sighting, Telemetry
 from replay.files import channels
 from replay.files.channels import VISION, Entry, name, network_topic
@@ -138,6 +138,7 @@ class SweepDepth(NamedTuple):
     """A depth map of the part of the picture that a sweep read; blocks are squares, row 0 on top."""
 
     t_ns: int  # of the first frame
+    lens_position: int  # of the frame in which blocks are squares
     block_px: int
     left_px: int  # upper left corner of the first block in the full frame
     top_px: int
@@ -145,7 +146,7 @@ class SweepDepth(NamedTuple):
     sharp: NDArray[np.uint8]  # (rows * block_px + rest, cols * block_px + rest, 3), each block from its sharpest frame
 
 
-MeasureDepth = Callable[[Sequence[SweepFrame], Calibration], SweepDepth | None]
+MeasureDepth = Callable[[Sequence[SweepFrame], Calibration, float], SweepDepth | None]  # of a camera that looks up, rad
 
 
 class SweepAssembler:
@@ -170,24 +171,27 @@ class SweepAssembler:
         return [SweepFrame(pixels(picture), picture.roi, seen) for picture, seen in whole]
 
 
-def whole_sweeps(records: Iterable[Record], steps: int) -> Iterator[list[SweepFrame]]:
-    """Every sweep of `steps` positions in a recording whose frames are all there."""
-    frames, gathered = Frames(), SweepAssembler(steps)
+def whole_sweeps(records: Iterable[Record], steps: int) -> Iterator[tuple[list[SweepFrame], float]]:
+    """Every sweep of `steps` positions in a recording whose frames are all there, and how far its camera looked up."""
+    frames, gathered, tilt_rad = Frames(), SweepAssembler(steps), 0.0
     for record in records:
         frames.take(record.channel, record.sequence, record.data)
-        if record.channel == VISION.name:
+        if record.channel == channels.STEP_OUT.name:
+            if (state := decode(record.data, Outputs, MAX_FRAME).state) is not None:
+                tilt_rad = camera_tilt_rad(state)
+        elif record.channel == VISION.name:
             sweep = gathered.take(frames.at(record.sequence), decode(record.data, Sighting))
             if sweep:
-                yield sweep
+                yield sweep, tilt_rad
 
 
 def sweep_points(depth: SweepDepth, camera: CameraFit) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
     """The blocks that have a range: places in the camera frame in metres (n, 3), and colours (n, 3) red green blue."""
     rows, cols = np.nonzero(np.isfinite(depth.range_m))
     u_px, v_px = ((k + 0.5) * depth.block_px - 0.5 for k in (cols, rows))
-    z = depth.range_m[rows, cols]
-    x = (depth.left_px + u_px - camera.cx_px) / camera.f_px * z
-    y = (depth.top_px + v_px - camera.cy_px) / camera.f_px * z
+    at, z = at_lens_position(camera, depth.lens_position), depth.range_m[rows, cols]
+    rays = np.array([ray(at, px) for px in zip(depth.left_px + u_px, depth.top_px + v_px, strict=True)]).reshape(-1, 3)
+    x, y = rays[:, :2].T / rays[:, 2] * (z - at.ahead_m)
     high, wide, size = *depth.range_m.shape, depth.block_px
     blocks = depth.sharp[: high * size, : wide * size].reshape(high, size, wide, size, 3).mean(axis=(1, 3))
     colours = blocks[rows, cols, ::-1]
@@ -214,7 +218,7 @@ class ViewerChannels:
         """
         self._fleet, self._robot, self._calibration, self._depth = fleet, robot, calibration, depth
         self._frames, self._sweeps = Frames(), SweepAssembler(fleet.camera.sweep_steps)
-        self._survey = SurveyChannels(fleet)
+        self._survey, self._tilt_rad = SurveyChannels(fleet), 0.0
         self._of: dict[str, Callable[[Entry], Iterator[Made]]] = {
             channels.STEP_IN.name: self._inputs,
             channels.STEP_OUT.name: self._outputs,
@@ -256,6 +260,7 @@ class ViewerChannels:
     def _outputs(self, entry: Entry) -> Iterator[Made]:
         outputs = _own(entry, Outputs)
         if outputs.state is not None:
+            self._tilt_rad = camera_tilt_rad(outputs.state)
             yield from self._state(outputs.state)
         for claim in outputs.said(topics.CLAIM):
             yield from self._survey.claim(claim)
@@ -274,7 +279,8 @@ class ViewerChannels:
         if self._calibration is not None:
             picture = _own(entry, Picture)
             model = channels.SWEEP_MODEL if picture.sweep else channels.CAMERA_MODEL
-            about = foxglove.calibration(self._robot, self._calibration.camera, picture.roi, picture.t_ns)
+            camera = at_lens_position(self._calibration.camera, picture.focus)
+            about = foxglove.calibration(self._robot, camera, picture.roi, picture.t_ns)
             yield name(model, robot=self._robot), picture.t_ns, about
 
     def _vision(self, entry: Entry) -> Iterator[Made]:
@@ -284,7 +290,7 @@ class ViewerChannels:
         frames = self._sweeps.take(self._frames.at(entry.sequence), _own(entry, Sighting))
         if not frames:
             return
-        found = self._depth(frames, self._calibration)
+        found = self._depth(frames, self._calibration, self._tilt_rad)
         if found is not None:
             places_m, colours = sweep_points(found, self._calibration.camera)
             cloud = foxglove.cloud(self._robot, places_m, colours, found.t_ns)

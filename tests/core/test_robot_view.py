@@ -5,10 +5,11 @@ from typing import Any
 
 import pytest
 from msgspec.structs import replace
+from scipy.spatial.transform import Rotation
 
 from agent.core.codec import Refusal, encode
 from agent.core.messages import NeighbourState, State, Whereabouts
-from agent.core.robot_view import LATELY_S, in_own_name, robot_view, turn
+from agent.core.robot_view import LATELY_S, camera_tilt_rad, in_own_name, robot_view, turn
 from agent.core.topics import STATE
 from tests.replay.small_box import FLEET
 
@@ -47,6 +48,15 @@ def test_a_turn_is_by_yaw_then_pitch_then_roll() -> None:
     x, y, z, w = turn(90.0, 90.0, 0.0)
     ahead = (1 - 2 * (y * y + z * z), 2 * (x * y + z * w), 2 * (x * z - y * w))
     assert ahead == pytest.approx((0.0, 0.0, -1.0))  # bow down, whichever way it looked
+
+
+def test_how_far_a_camera_looks_up_is_its_gimbal_s_and_its_body_s() -> None:
+    said = state(pan_deg=70.0, tilt_deg=-25.0, roll_deg=12.0, pitch_deg=-7.0)
+    body, gimbal = (Rotation.from_quat(turn(*angles)) for angles in ((33.0, -7.0, 12.0), (70.0, 25.0, 0.0)))
+    up = (body * gimbal).apply([1.0, 0.0, 0.0])[2]
+    assert math.sin(camera_tilt_rad(said)) == pytest.approx(up)
+    unknown = state(pan_deg=70.0, tilt_deg=-25.0, roll_deg=None, pitch_deg=None)
+    assert camera_tilt_rad(unknown) == pytest.approx(math.radians(-25.0))
 
 
 def near(name: str, age_s: float | None, valid: bool = False) -> NeighbourState:

@@ -9,9 +9,10 @@ import pytest
 
 from agent.core.codec import decode
 from agent.core.config import ConfigError
+from agent.core.ranging.camera_model import CameraFit, at_lens_position
 from agent.core.step_io import Outputs, Sighting, SweepOutcome
 from agent.reconstruction.refine_poses import DEPTH_M, LEVEL_RAD, Sigmas, covariance_of
-from agent.reconstruction.sources import aligned, recorded_views
+from agent.reconstruction.sources import Cut, _corner_px, aligned, recorded_views
 from agent.reconstruction.views import rotation_of, see, surface_points
 from replay.check.reexecute import open_box
 from replay.files.log import read
@@ -44,7 +45,8 @@ def test_what_is_no_black_box_is_refused(tmp_path: Path) -> None:
 
 def test_frames_without_a_target_are_laid_on_each_other_by_what_they_show() -> None:
     box = open_box(SEEN / "r1.mcap")
-    (frames,) = list(whole_sweeps(read(box.path), box.fleet.camera.sweep_steps))
+    ((frames, tilt_rad),) = list(whole_sweeps(read(box.path), box.fleet.camera.sweep_steps))
+    assert abs(tilt_rad) < 1.0
     blind = [
         SweepFrame(f.image, f.roi, type(f.sighting)(**{**_fields(f.sighting), "radius_px": None, "centre_px": None}))
         for f in frames
@@ -57,6 +59,16 @@ def test_frames_without_a_target_are_laid_on_each_other_by_what_they_show() -> N
         assert np.abs(np.array(by_picture.corners_px) - by_target.corners_px).max() < 40
     else:  # parts of different sizes cannot be registered: said, not guessed
         assert by_picture is None
+
+
+def test_the_axis_goes_away_from_a_target_that_frames_are_laid_on_as_they_grow() -> None:
+    camera = CameraFit(width_px=640, height_px=480, f_px=1100.0, cx_px=320.0, cy_px=240.0, breathing=3e-5, lens=300.0)
+    cut = Cut([], [(100, 80), (102, 81), (104, 82)], (60.0, 50.0))
+    positions = np.array([200.0, 400.0, 900.0])
+    x, y = _corner_px(cut, 1, camera, positions)
+    grown = at_lens_position(camera, 900.0).f_px / at_lens_position(camera, 400.0).f_px
+    assert (320.0 - x - 60.0, 240.0 - y - 50.0) == pytest.approx((grown * (320 - 102 - 60), grown * (240 - 81 - 50)))
+    assert _corner_px(cut._replace(grown_about_px=None), 1, camera, positions) == (102, 81)
 
 
 def test_a_view_of_a_robot_that_drifts_is_of_where_it_was_when_its_frames_were_clear() -> None:

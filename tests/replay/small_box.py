@@ -44,11 +44,11 @@ def write_box(folder: Path, views: bool = True, lossless: bool = False, pace: fl
     return log.path
 
 
-def flat(frames: Sequence[SweepFrame], calibration: Calibration) -> SweepDepth:
+def flat(frames: Sequence[SweepFrame], calibration: Calibration, tilt_rad: float) -> SweepDepth:
     """A wall half a metre away, in four blocks of which one has no texture."""
     range_m = np.array([[0.5, 0.5], [0.5, np.nan]])
     sharp = np.full((80, 80, 3), (20, 50, 180), np.uint8)
-    return SweepDepth(frames[0].sighting.t_ns, 40, *frames[0].roi[:2], range_m, sharp)
+    return SweepDepth(frames[0].sighting.t_ns, 500, 40, *frames[0].roi[:2], range_m, sharp)
 
 
 def fill(log: LogWriter, clock: PacedClock, lossless: bool = False) -> None:

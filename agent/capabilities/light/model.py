@@ -259,7 +259,7 @@ def whole(
     camera = at_lens_position(calibration.camera, outline.lens_position)
     if ball.radius_m is None or outline.radius_px is None or not lamps_m:
         return outline
-    far = focus_range(calibration.swept, camera, outline.centre_px, rho, sigma, ball)
+    far = focus_range(calibration.swept, camera, outline.centre_px, rho, sigma, ball, eye.tilt_rad)
     if far is None or far.distance_m <= ball.radius_m:
         return outline
     whole_px = camera.f_px * math.asin(ball.radius_m / far.distance_m)

@@ -138,6 +138,7 @@ def frame_of(
     lens, rows = lens_of(calibration.camera, peaks.focus)
     if (peaks.cols, peaks.block_px, peaks.rows) != (lens.cols, lens.block, rows):
         return None
+    camera = at_lens_position(calibration.camera, peaks.focus)
     forward = eye.rotation[2][2]  # of the optical axis upwards
     fit = at_tilt(calibration.swept, math.asin(min(max(forward, -1.0), 1.0)))
     count = lens.cols * rows
@@ -148,10 +149,10 @@ def frame_of(
         if k >= count:
             continue
         middle_px = (k % lens.cols + 0.5) * lens.block - 0.5, (k // lens.cols + 0.5) * lens.block - 0.5
-        aside = in_direction(fit, calibration.camera, middle_px)
+        aside = in_direction(fit, camera, middle_px, position)
         if (sharp_m := h(aside, position)) is not None:
             x, y = slopes[k]
-            share = share_at(calibration.camera, 1.0 / math.sqrt(1.0 + x * x + y * y))
+            share = share_at(camera, 1.0 / math.sqrt(1.0 + x * x + y * y))
             z_m = through_port(sharp_m, share)
             there = to_world(eye, (x * (z_m - ahead_m), y * (z_m - ahead_m), z_m))
             if any(_is_at(there, hull_m) for hull_m in hulls_m):

@@ -256,6 +256,15 @@ def offset(camera: CameraFit, px: tuple[float, float]) -> tuple[float, float]:
     return (px[0] - camera.cx_px) / camera.f_px, (px[1] - camera.cy_px) / camera.f_px
 
 
+def on_sensor(camera: CameraFit, px: tuple[float, float], lens_position: float) -> tuple[float, float]:
+    """(right, down) from the optical axis of the place on the sensor where what is seen at a pixel falls with the lens
+    at another position, in f_px of position 0: the picture grows about the axis."""
+    x, y = offset(camera, px)
+    grown = 1.0 + camera.breathing * (lens_position - camera.lens)
+    scale = grown / (1.0 - camera.breathing * camera.lens)
+    return scale * x, scale * y
+
+
 def ray(camera: CameraFit, px: tuple[float, float]) -> Vector:
     """Unit vector in the camera frame along which a pixel looks, from `ahead_m` before the pivot on."""
     seen_x, seen_y = offset(camera, px)

@@ -243,7 +243,7 @@ def focus_range(
 
     Of a thing without known shape the skin is all there is.
     """
-    fit = in_direction(at_tilt(fit, tilt_rad), camera, centre_px)
+    fit = in_direction(at_tilt(fit, tilt_rad), camera, centre_px, rho)
     sharp_m = h(fit, rho)
     if sharp_m is None:
         return None

@@ -18,7 +18,7 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit, offset, ray
+from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit, on_sensor, ray
 
 Array = NDArray[np.float64]
 Method = Literal["matched", "parabola", "argmax"]
@@ -391,12 +391,13 @@ def with_sag(fit: FocusFit, peaks: Sequence[TiltedPeak]) -> FocusFit:
 # The share K of a flat port is no part of it: that is a factor of the depth.
 
 
-def in_direction(fit: FocusFit, camera: CameraFit, px: tuple[float, float]) -> FocusFit:
-    """The lens as it is in the direction of a pixel. How well the field is known joins the variance of rho0."""
+def in_direction(fit: FocusFit, camera: CameraFit, px: tuple[float, float], rho: float) -> FocusFit:
+    """The lens as it is in the direction of a pixel of the camera's picture, for what is sharp at rho. How well the
+    field is known joins the variance of rho0."""
     field = fit.field
     if field is None:
         return fit
-    x, y = offset(camera, px)
+    x, y = on_sensor(camera, px, rho)
     r2 = x * x + y * y
     xx, xy, xr, yy, yr, rr = field.covariance
     variance = x * x * xx + y * y * yy + r2 * r2 * rr + 2.0 * (x * y * xy + x * r2 * xr + y * r2 * yr)
@@ -404,6 +405,6 @@ def in_direction(fit: FocusFit, camera: CameraFit, px: tuple[float, float]) -> F
 
 
 def shift(field: FieldFit, aside: tuple[float, float]) -> float:
-    """Lens positions by which the peaks of an `offset` lie beyond those on the axis."""
+    """Lens positions by which the peaks of a place `on_sensor` lie beyond those on the axis."""
     x, y = aside
     return field.right * x + field.down * y + field.curved * (x * x + y * y)

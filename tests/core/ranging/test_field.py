@@ -2,11 +2,12 @@
 
 import math
 
+import numpy as np
 import pytest
 from msgspec.structs import replace
 
 from agent.core.config import Target
-from agent.core.ranging.camera_model import CameraFit, FieldFit, offset
+from agent.core.ranging.camera_model import CameraFit, FieldFit, at_lens_position, offset, on_sensor, pixel
 from agent.core.ranging.fix import focus_range
 from agent.core.ranging.focus import in_direction, lens_position, port_share, shift
 from agent.perception.depth_peaks import z_depth
@@ -20,17 +21,17 @@ BOX = Target(length_m=0.2)
 
 
 def test_a_lens_without_a_field_is_the_same_in_all_directions() -> None:
-    assert in_direction(FOCUS, CAMERA, ASIDE_PX) is FOCUS
+    assert in_direction(FOCUS, CAMERA, ASIDE_PX, 400.0) is FOCUS
 
 
 def test_peaks_aside_lie_where_the_field_says() -> None:
     x, y = offset(CAMERA, ASIDE_PX)
-    aside = in_direction(LENS, CAMERA, ASIDE_PX)
+    aside = in_direction(LENS, CAMERA, ASIDE_PX, 400.0)
     assert (x, y) == pytest.approx((284 / 1166, -183 / 1166))
     assert lens_position(aside, 0.8) - lens_position(LENS, 0.8) == pytest.approx(
         100 * x - 30 * y + 280 * (x * x + y * y)
     )
-    assert in_direction(LENS, CAMERA, AXIS_PX).rho0 == LENS.rho0
+    assert in_direction(LENS, CAMERA, AXIS_PX, 400.0).rho0 == LENS.rho0
 
 
 def test_a_range_aside_is_the_one_on_the_axis_and_no_surer() -> None:
@@ -46,10 +47,27 @@ def test_a_range_aside_is_the_one_on_the_axis_and_no_surer() -> None:
     assert wrong is not None and abs(wrong.distance_m / flat.distance_m - 1.0) > 0.1  # what it is for
 
 
+def test_the_field_belongs_to_the_sensor_and_the_port_to_the_ray() -> None:
+    """A picture grows as the lens moves: whichever picture of a sweep a pixel is counted in, the range is one."""
+    breathing, rho, point_m = replace(CAMERA, breathing=3.5e-5, lens=290.0), 450.0, (0.19, -0.12, 0.8)
+    ranges_m = []
+    for lens in (0.0, 290.0, 450.0, 1000.0):
+        camera = at_lens_position(breathing, lens)
+        px = pixel(camera, point_m)
+        assert px is not None
+        z_m = z_depth(LENS, camera, rho, px)
+        assert z_m is not None
+        ranges_m.append(z_m)
+        x, y = offset(at_lens_position(breathing, rho), pixel(at_lens_position(breathing, rho), point_m))  # type: ignore[arg-type]
+        grown = at_lens_position(breathing, rho).f_px / at_lens_position(breathing, 0.0).f_px
+        assert on_sensor(camera, px, rho) == pytest.approx((grown * x, grown * y))
+    assert np.ptp(ranges_m) < 1e-9
+
+
 def test_how_well_it_is_known_grows_with_the_distance_from_the_axis() -> None:
     x, y = offset(CAMERA, ASIDE_PX)
-    *_, known = in_direction(LENS, CAMERA, ASIDE_PX).covariance
+    *_, known = in_direction(LENS, CAMERA, ASIDE_PX, 400.0).covariance
     r2 = x * x + y * y
     assert known - LENS.covariance[5] == pytest.approx(x * x + 4.0 * y * y + 36.0 * r2 * r2)
-    assert math.isclose(in_direction(LENS, CAMERA, AXIS_PX).covariance[5], LENS.covariance[5])
+    assert math.isclose(in_direction(LENS, CAMERA, AXIS_PX, 400.0).covariance[5], LENS.covariance[5])
     assert port_share(CAMERA, ASIDE_PX) < 1.0  # which is another thing, and is kept

@@ -18,7 +18,8 @@ from agent.capabilities.survey.exchange import holdings
 from agent.core.capability_messages import UNIT_M, Claim, Frame, Keyframe, View, measured
 from agent.core.codec import encode
 from agent.core.messages import State, Whereabouts
-from agent.core.ranging.focus import lens_position
+from agent.core.ranging.camera_model import at_lens_position, pixel
+from agent.core.ranging.focus import h, lens_position
 from agent.core.step_io import Outputs, Said, SetPoint, Sighting
 from agent.perception.depth_sweep import BLOCK_PX, growth, sweep_depth
 from replay.files.channels import VISION, Entry, entry_on
@@ -27,7 +28,7 @@ from replay.files.log import LogWriter, read
 from replay.report.report import report
 from replay.viewers.foxglove import message_class
 from replay.viewers.layout import foxglove_layout
-from replay.viewers.viewer_channels import SweepFrame, ViewerChannels, sweep_points, whole_sweeps
+from replay.viewers.viewer_channels import SweepDepth, SweepFrame, ViewerChannels, sweep_points, whole_sweeps
 from tests.capabilities.survey.frames import FLEET, GRID, LENS, ROWS, SIGMA, drawn_frames
 from tests.perception.painted import PX_PER_POSITION, ball_light, defocus, expose
 from tests.replay.small_box import CALIBRATION, flat, state, write_box
@@ -227,7 +228,7 @@ def sweep() -> list[SweepFrame]:
 
 
 def test_every_block_of_an_equally_far_picture_is_as_far(sweep: list[SweepFrame]) -> None:
-    found = sweep_depth(sweep, CALIBRATION)
+    found = sweep_depth(sweep, CALIBRATION, 0.0)
     assert found is not None
     known = np.isfinite(found.range_m)
     assert known.mean() > 0.8
@@ -241,11 +242,36 @@ def test_every_block_of_an_equally_far_picture_is_as_far(sweep: list[SweepFrame]
     assert np.abs(places_m[:, :2].mean(axis=0)).max() < 0.01
 
 
+def test_a_lens_that_hangs_is_ranged_by_how_far_it_looks_down(sweep: list[SweepFrame]) -> None:
+    sags = replace(CALIBRATION, focus=replace(FOCUS, sag=8.0))
+    down, level, plain = (
+        sweep_depth(sweep, calibration, tilt_rad)
+        for calibration, tilt_rad in ((sags, math.radians(-30.0)), (sags, 0.0), (CALIBRATION, math.radians(-30.0)))
+    )
+    assert down is not None and level is not None and plain is not None
+    np.testing.assert_array_equal(level.range_m, plain.range_m)
+    peak = lens_position(FOCUS, float(np.nanmedian(plain.range_m)))
+    fallen_m = h(replace(FOCUS, rho0=FOCUS.rho0 - 4.0), peak)
+    assert fallen_m is not None
+    assert np.nanmedian(down.range_m) == pytest.approx(fallen_m, rel=1e-3)
+
+
+def test_points_of_a_cloud_lie_where_their_pixels_look() -> None:
+    """With the port's bend, from where rays meet, with the lens as it was in that picture."""
+    camera = replace(CALIBRATION.camera, bend=0.39, ahead_m=-0.004, lens=290.0, breathing=3.5e-5)
+    shown = SweepDepth(0, 1000, 40, 40, 20, np.full((10, 14), 0.8), np.zeros((400, 560, 3), np.uint8))
+    places_m, _ = sweep_points(shown, camera)
+    at = at_lens_position(camera, 1000.0)
+    found = [pixel(at, tuple(place)) for place in places_m.astype(float).tolist()]
+    wanted = [(40 + 40 * (k % 14) + 19.5, 20 + 40 * (k // 14) + 19.5) for k in range(140)]
+    np.testing.assert_allclose(np.array(found), wanted, atol=0.01)
+
+
 def test_without_the_target_to_lie_on_the_drift_costs_blocks(sweep: list[SweepFrame]) -> None:
     fixed = [frame._replace(sighting=replace(frame.sighting, centre_px=(319.5, 239.5))) for frame in sweep]
     errors = []
     for frames_ in (sweep, fixed):
-        found = sweep_depth(frames_, CALIBRATION)
+        found = sweep_depth(frames_, CALIBRATION, 0.0)
         assert found is not None
         known = found.range_m[np.isfinite(found.range_m)]
         errors.append(np.abs(known / RANGE_M - 1).mean())
@@ -253,11 +279,12 @@ def test_without_the_target_to_lie_on_the_drift_costs_blocks(sweep: list[SweepFr
 
 
 def test_too_little_to_see_is_no_map(sweep: list[SweepFrame]) -> None:
-    assert sweep_depth(sweep[:4], CALIBRATION) is None
-    assert sweep_depth([frame._replace(sighting=hidden(frame.sighting)) for frame in sweep], CALIBRATION) is None
+    assert sweep_depth(sweep[:4], CALIBRATION, 0.0) is None
+    unseen = [frame._replace(sighting=hidden(frame.sighting)) for frame in sweep]
+    assert sweep_depth(unseen, CALIBRATION, 0.0) is None
     edge = [frame._replace(image=frame.image[:, 200:], roi=(300, TOP, 240, 360)) for frame in sweep]
     assert 2 * BLOCK_PX > 319 - 300  # of the target's centre from the edge
-    assert sweep_depth(edge, CALIBRATION) is None
+    assert sweep_depth(edge, CALIBRATION, 0.0) is None
 
 
 def hidden(sighting: Sighting) -> Sighting:
@@ -286,9 +313,9 @@ def test_a_whole_sweep_comes_back_from_a_recording(
         write_sweep(log, sweep, lost)
     found = list(whole_sweeps(read(tmp_path / "r1.mcap"), STEPS))
     assert len(found) == sweeps
-    for frames_ in found:
+    for frames_, _ in found:
         assert [frame.sighting for frame in frames_] == [frame.sighting for frame in sweep]
-        assert sweep_depth(frames_, CALIBRATION) is not None
+        assert sweep_depth(frames_, CALIBRATION, 0.0) is not None
 
 
 def test_the_report_shows_the_map_of_each_robot(tmp_path: Path) -> None:
