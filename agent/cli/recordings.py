@@ -268,8 +268,8 @@ def reconstruct_command(
     else:
         area, sigma = f"{f['area_units2']:.3g} of its own units squared", f"{f['sigma_units']['p50']:.2g} units"
     console.print(
-        f"{f['triangles']} triangles, {area}, from {f['views']} keyframes; standard deviation {sigma} (median); "
-        f"{f['concluded']:.0%} of the surface was concluded from its rim",
+        f"{f['triangles']} triangles, {area}, from {f['views']} keyframes; standard deviation {sigma} "
+        f"(median, were views independent); {f['concluded']:.0%} of the surface was concluded from its rim",
         highlight=False,
     )
     learnt = f["image"]

@@ -138,12 +138,12 @@ def measure(claim: Claim, found: Mapping[str, Mapping[int, Sequence[Row]]]) -> d
             continue
         one = as_number(value, figure)
         drawn = [as_number(each[figure.key], figure) for each in resamples]
-        low, high = (one, one) if claim.exact else interval(one, drawn, len(seeds))
+        low, high = (one, one) if claim.exact else interval(one, drawn, len(seeds), figure.unit)
         measured[figure.key] = Measured(one, low, high, len(seeds))
     return measured
 
 
-def interval(value: float, resamples: Sequence[float], n: int) -> tuple[float, float]:
+def interval(value: float, resamples: Sequence[float], n: int, unit: str = "") -> tuple[float, float]:
     """Of a number that n seeds gave, by a bootstrap of them. Without any resample, nothing is known.
 
     Few seeds are drawn from themselves with too little spread, by sqrt((n - 1) / n), and a normal quantile is too
@@ -158,13 +158,23 @@ def interval(value: float, resamples: Sequence[float], n: int) -> tuple[float, f
     ordered = np.sort(resamples)  # not interpolated: some may be infinite
     last = len(ordered) - 1
     if math.isclose(ordered[0], ordered[last], rel_tol=1e-9):
-        return of_quantile(Quantile([value] * n, 50.0))[1:3]  # no seed differs: known as well as their median is
+        return _alike(value, n, unit)
     if math.isinf(value):
         return -math.inf, math.inf
     low, high = float(ordered[math.floor(tail * last)]), float(ordered[math.ceil((1.0 - tail) * last)])
     errors = math.sqrt(n / (n - 1)) * float(t.ppf(1.0 - tail, n - 1))
     off, wider = errors * float(np.std(ordered[np.isfinite(ordered)])), errors / float(norm.ppf(1.0 - tail))
     return value - max(wider * (value - low), off), value + max(wider * (high - value), off)
+
+
+def _alike(value: float, n: int, unit: str) -> tuple[float, float]:
+    """Of a number in which no seed differs. All or nothing of a share is known as n trials without a miss tell it, and
+    of what never happened nobody knows how much it is; another number is known as well as the seeds' median is."""
+    if unit == "%" and value in (0.0, 100.0):
+        return of_share(Share(n if value else 0, n), 100.0)[1:3]
+    if value == 0.0:
+        return 0.0, math.inf
+    return of_quantile(Quantile([value] * n, 50.0))[1:3]
 
 
 def of_share(share: Share, scale: float = 1.0) -> Measured:

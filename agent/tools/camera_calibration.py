@@ -150,7 +150,8 @@ def calibrate_camera(
         sizes = {"width_px": fit.width_px, "height_px": fit.height_px}
         lens = {"f_px": fit.f_px, "cx_px": fit.cx_px, "cy_px": fit.cy_px, "noise_px": max(fit.residual_px, 0.05)}
         # OpenCV's k1 is our bend; what else the old scale went with does not belong to the new one.
-        fresh = {"bend": fit.k1, "ahead_m": 0.0, "lens": 0.0, "breathing": 0.0, "scale_covariance": [0.0, 0.0, 0.0]}
+        unsure = [(f_sigma / fit.f_px) ** 2, 0.0, AHEAD_M**2]  # such pictures do not tell where rays meet
+        fresh = {"bend": fit.k1, "ahead_m": 0.0, "lens": 0.0, "breathing": 0.0, "scale_covariance": unsure}
         kept = {key: value for key, value in kept.items() if key != "covariance"}  # it was of the old one
         console.print(put(out, "camera", {**kept, **sizes, **lens, **fresh}, folder))
     return fit
@@ -290,6 +291,7 @@ MAX_NOISE_PX = 2.0  # a wrong board is worse than this
 AHEAD_M, BREATHING, CENTRE = 0.005, 0.05, 0.01
 PRIOR_PX = 0.1  # noise of one corner, to weigh that against the corners
 PRIORS = 4  # of the unknowns, the last ones
+ANGLES = 4  # that shifts of whole views tell: zero and gain of pan and tilt
 
 
 class Corner(NamedTuple):
@@ -375,8 +377,12 @@ def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> 
     if noise_px > MAX_NOISE_PX:
         raise CalibrationRefused(f"corners miss by {noise_px:.1f} px; check the board's squares and where it stood")
     # A whole view that is off by the same shift is a servo that did not come back to the same angle.
-    shift = np.array([r.reshape(2, -1)[:, [c.servos_us == s for c in corners]].mean(axis=1) for s in sorted(settings)])
+    of_view = np.array([(*c.servos_us, round(c.point_m[0], 6)) for c in corners])
+    view = np.unique(of_view, axis=0, return_inverse=True)[1].ravel()
+    shift = np.array([r.reshape(2, -1)[:, view == k].mean(axis=1) for k in range(view.max() + 1)])
+    return_rad = math.sqrt(float((shift * shift).sum()) / (shift.size - ANGLES)) / p[0]
     C = _covariance(p, residual, jacobian, normal, [corner.number for corner in corners], noise_px)
+    C += _of_returns(jacobian(p), normal, view, return_rad)
     order = [0, 5, 8, 9, 6, 7, 1, 2, 3, 4]  # of CameraFit.covariance, and its units
     units = np.array([1.0 / p[0], 1.0, 1.0, 1.0, 1.0, 1.0 / travel, math.degrees(1.0), math.degrees(1.0), 1.0, 1.0])
     of_all = (units[:, None] * C[order][:, order] * units)[np.triu_indices(len(p))]
@@ -396,7 +402,7 @@ def fit_camera(corners: Sequence[Corner], body: Body, size: tuple[int, int]) -> 
         pan_gain=float(p[3]),
         tilt_gain=float(p[4]),
         noise_px=max(noise_px, 0.05),
-        noise_deg=max(math.degrees(math.sqrt(float((shift * shift).mean())) / p[0]), 0.02),
+        noise_deg=max(math.degrees(return_rad), 0.02),
         covariance=tuple(of_all.tolist()),
     )
 
@@ -430,6 +436,17 @@ def _covariance(
     meat += (priors[:, None] * priors[None]).sum(axis=-1)
     out: Array = _times(_times(inverse, meat), inverse)
     return 0.5 * (out + out.T)
+
+
+def _of_returns(J: Array, normal: Array, view: NDArray[np.intp], return_rad: float) -> Array:
+    """What servos add to the covariance that come back to an angle within return_rad: each view is off as a whole."""
+    inverse, meat = solve(normal, np.eye(len(J))), np.zeros((len(J),) * 2)
+    for k in range(view.max() + 1):
+        part = np.flatnonzero(np.tile(view == k, 2))
+        for angle in J[1:3, part]:  # pan and tilt
+            pull = return_rad * (J[:, part] * angle).sum(axis=1)
+            meat += pull[:, None] * pull
+    return _times(_times(inverse, meat), inverse)
 
 
 def _times(a: Array, b: Array) -> Array:

@@ -61,6 +61,7 @@ class FocusRow(NamedTuple):
     rho: float
     width: float
     sigma: float = 1.0  # standard deviation of rho, as the peak tells; the fit finds its scale from the residuals
+    tape_m: float = 0.0  # as measured, where u_m is what a port makes of it; 0: u_m
 
 
 class CalibrationRefused(Failed):
@@ -74,7 +75,8 @@ def fit_focus(rows: Sequence[FocusRow]) -> FocusFit:
     few of them it is as much wider as Student's t is than the normal distribution, at 95 %.
     """
     u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
-    distances = sorted({float(d) for d in u})
+    tape_m = np.array([row.tape_m or row.u_m for row in rows])
+    distances = sorted({*tape_m.tolist()})
     if len(distances) < MIN_DISTANCES:
         raise CalibrationRefused(f"{len(distances)} distances have a peak; measure at least {MIN_DISTANCES}")
     span = 1.0 / distances[0] - 1.0 / distances[-1]
@@ -90,12 +92,12 @@ def fit_focus(rows: Sequence[FocusRow]) -> FocusFit:
         raise CalibrationRefused("the pole of the fit lies inside the measurements; check the table for wrong peaks")
     residual = trust * (travel - p[1] / (u - p[0]))
     noise = max(scale(weights * residual, 3), NOISE_FLOOR * float(np.ptp(rho)))
-    at = np.searchsorted(distances, u)
+    at = np.searchsorted(distances, tape_m)
     together = np.bincount(at, weights * residual) / np.sqrt(np.bincount(at))  # as one row of each distance has it
     free = len(distances) - 3
     wide = max(noise, math.sqrt(float(together @ together) / free)) * float(stdtrit(free, 0.975) / ndtri(0.975))
     error_m = p[0] + p[1] / travel - u
-    held_out_m = np.concatenate([_held_out_m(u, rho, trust, distance) for distance in distances])
+    held_out_m = np.concatenate([_held_out_m(u, rho, trust, tape_m == distance) for distance in distances])
     return FocusFit(
         u_inf_m=float(p[0]),
         b_m=float(p[1]),
@@ -154,7 +156,8 @@ class LeftOut(NamedTuple):
 def leave_one_out(rows: Sequence[FocusRow]) -> list[LeftOut]:
     """Per distance, not per row: the rows of one distance share the error of its tape measure."""
     u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
-    errors = ((d, _held_out_m(u, rho, float(np.median(sigma)) / sigma, d)) for d in sorted({float(d) for d in u}))
+    tape_m, trust = np.array([row.tape_m or row.u_m for row in rows]), float(np.median(sigma)) / sigma
+    errors = ((d, _held_out_m(u, rho, trust, tape_m == d)) for d in sorted({*tape_m.tolist()}))
     return [LeftOut(d, math.sqrt(float((e * e).mean()))) for d, e in errors]
 
 
@@ -248,9 +251,8 @@ def _products(J: Array, weights: Array) -> Array:
     return products
 
 
-def _held_out_m(u: Array, rho: Array, trust: Array, distance: float) -> Array:
-    """Errors in range of the rows at one distance, from the fit to all the others."""
-    out = u == distance
+def _held_out_m(u: Array, rho: Array, trust: Array, out: NDArray[np.bool_]) -> Array:
+    """Errors in range of the rows that are out, from the fit to all the others."""
     p, _, _ = _hyperbola(u[~out], rho[~out], trust[~out])
     error: Array = p[0] + p[1] / (rho[out] - p[2]) - u[out]
     return error
@@ -349,18 +351,8 @@ def put(path: Path, table: str, fields: dict[str, Any], source: Path) -> str:
 
 REQUIRED = ("u_mm", "code")
 OPTIONAL = (
-    "camera",
-    "direction",
-    "repeat",
-    "score",
-    "width",
-    "tilt_deg",
-    "temp_c",
-    "medium",
-    "sweep_id",
-    "x_px",
-    "y_px",
-    "picture_code",
+    *("camera", "direction", "repeat", "score", "width", "tilt_deg", "temp_c", "medium", "sweep_id"),
+    *("x_px", "y_px", "picture_code"),
 )
 LEVEL_DEG = 3.0  # a lens that looks up or down by less sags by 0.3 lens positions, within the noise of a peak
 GOOD_LEFT_OUT = 0.05  # share of the range: a distance that the others foretell worse is named in the verdict
@@ -431,7 +423,7 @@ def without_field(
         at = at_lens_position(camera, place.picture_code)
         u_m = as_on_axis(row.u_m, port_share(at, place.px))
         aside.append(Aside(place.sweep, u_m, on_sensor(at, place.px, row.rho), row.rho, row.sigma))
-    plain = [row._replace(u_m=at.u_m) for row, at in zip(rows, aside, strict=True)]
+    plain = [row._replace(u_m=at.u_m, tape_m=row.u_m) for row, at in zip(rows, aside, strict=True)]
     field = fit_field(fit_focus(plain), aside)
     for _ in range(FIELD_PASSES - 1):
         field = fit_field(fit_focus(_on_axis(plain, aside, field)), aside)

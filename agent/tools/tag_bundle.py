@@ -125,9 +125,30 @@ class _System(NamedTuple):
 
 
 def bundle(frames: Sequence[SurveyFrame], cameras: Cameras, prior: Prior, size_m: float) -> Bundle:
-    """Adjust from where `prior.tags` and `cameras` (one a frame) say. Tags that the prior lacks do not count."""
+    """Adjust from where `prior.tags` and `cameras` (one a frame) say. Tags that the prior lacks do not count.
+
+    Where corners are noisier than is known of them, by motion or by a calibration that is off, all is adjusted again
+    with as much noise as they show: the prior counts for more then, and what is found is less sure.
+    """
     problem = _Problem(frames, prior, size_m)
-    state = _State(cameras, prior.tags, np.zeros(len(prior.tags.ids)), 0.0)
+    state, here = _adjusted(problem, _State(cameras, prior.tags, np.zeros(len(prior.tags.ids)), 0.0))
+    if (times := problem.noisier(here)) > 1.0:
+        problem.whiten /= times
+        state, here = _adjusted(problem, state)
+    covariance = np.linalg.inv(here.reduced)
+    at = [slice(OWN * k, OWN * k + 6) for k in range(len(prior.tags.ids))]
+    return Bundle(
+        state.tags,
+        np.array([covariance[one, one] for one in at]),
+        state.cameras,
+        float(np.sqrt((here.residual_px**2).mean())),
+        here.length,
+        np.column_stack([problem.frame, problem.tag]),
+    )
+
+
+def _adjusted(problem: _Problem, state: _State) -> tuple[_State, _System]:
+    """Levenberg and Marquardt from a state on."""
     here, damping = problem.linearize(state), 1e-3
     for _ in range(PASSES):
         moved = problem.moved(state, here, damping)
@@ -141,16 +162,7 @@ def bundle(frames: Sequence[SurveyFrame], cameras: Cameras, prior: Prior, size_m
         state, here, damping = moved, there, max(0.1 * damping, WEAKEST)
         if done:
             break
-    covariance = np.linalg.inv(here.reduced)
-    at = [slice(OWN * k, OWN * k + 6) for k in range(len(prior.tags.ids))]
-    return Bundle(
-        state.tags,
-        np.array([covariance[one, one] for one in at]),
-        state.cameras,
-        float(np.sqrt((here.residual_px**2).mean())),
-        here.length,
-        np.column_stack([problem.frame, problem.tag]),
-    )
+    return state, here
 
 
 class _Problem:
@@ -211,6 +223,12 @@ class _Problem:
         reduced -= np.einsum("mai,maj->ij", mixed, solved[..., :-1], optimize=True)
         total -= np.einsum("mai,ma->i", mixed, solved[..., -1], optimize=True)
         return _System(cost, reduced, total, own, own_right, mixed, residual, length)
+
+    def noisier(self, here: _System) -> float:
+        """How many times noisier than they should be corners are, by the robust sum of their residuals."""
+        free = 8 * len(here.length) - 6 * len(here.own) - len(here.right)
+        weight = np.minimum(1.0, HUBER / np.maximum(here.length, 1e-12))
+        return float(np.sqrt((weight * here.length**2).sum() / max(free, 1)))
 
     def _add_priors(self, at: _State, reduced: Array, total: Array) -> float:
         """Adds them to the equations; returns their cost."""

@@ -99,6 +99,19 @@ def test_the_bootstrap_draws_whole_seeds() -> None:
     assert measure(claim._replace(exact=True), {"one": {0: few[0]}})["mean"].low == alone.value
 
 
+@pytest.mark.parametrize(
+    ("unit", "value", "seeds", "low", "high"),
+    [("%", 100.0, 5, 54.9, 100.0), ("%", 0.0, 20, 0.0, 13.9), ("s", 0.0, 20, 0.0, INF), ("bytes", 233.0, 5, 233, 233)],
+)
+def test_all_or_nothing_in_each_seed_is_known_as_so_many_trials_tell_it(unit, value, seeds, low, high) -> None:
+    claim = dice.CLAIM._replace(
+        summary=lambda rows: {"mean": float(np.mean([row["x"] for row in rows["one"]]))},
+        figures=(Figure("mean", "what all seeds have alike", unit),),
+    )
+    found = measure(claim, {"one": {seed: [{"x": value}] for seed in range(seeds)}})["mean"]
+    assert (found.value, found.low, found.high) == pytest.approx((value, low, high), abs=0.1)
+
+
 def test_a_ratio_of_two_cases_is_one_of_the_same_seeds() -> None:
     def ratio(rows):
         return {"mean": sum(r["x"] for r in rows["a"]) / sum(r["x"] for r in rows["b"])}

@@ -19,7 +19,18 @@ from agent.process.command import Failed, plain_console
 from agent.tools import focus_calibration
 from agent.tools.bench_calibration import describe
 from agent.tools.camera_calibration import Corner, fit_camera
-from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus, paper_gauge, put, read_table, run
+from agent.tools.focus_calibration import (
+    CalibrationRefused,
+    FocusRow,
+    Place,
+    fit_focus,
+    leave_one_out,
+    paper_gauge,
+    put,
+    read_table,
+    run,
+    without_field,
+)
 
 BODY = Body()
 DISTANCES_M = 1 / np.linspace(1 / 1.2, 1 / 0.22, 12)
@@ -109,16 +120,23 @@ TRUE = (math.log(1175), BEND, *AXIS_PX, AHEAD_M, BREATHING, 0.8, -0.5, 1.01, 0.9
 
 
 def corners(
-    noise_px=0.1, views=((0, 0), (-24, 0), (24, 0), (0, -8), (0, 8)), lens=(200.0, 300.0), printed_px=0.0, seed=3
+    noise_px=0.1,
+    views=((0, 0), (-24, 0), (24, 0), (0, -8), (0, 8)),
+    lens=(200.0, 300.0),
+    printed_px=0.0,
+    seed=3,
+    return_deg=0.0,
 ):
-    """printed_px: by which each corner of the board is off in all views."""
-    rng = np.random.default_rng(seed)
+    """printed_px: by which each corner of the board is off in all views. return_deg: by which pan and tilt are off in
+    each view."""
+    rng, servo = np.random.default_rng(seed), np.random.default_rng(seed + 1)
     printed = rng.normal(0, printed_px, (35, 2))
     out = []
     for d, position in itertools.product((0.65, 0.85), lens):
         f_px = 1175 * (1 + BREATHING * (position - np.mean(lens)))
         for pan, tilt in views:
-            P, T = math.radians(0.8 + 1.01 * pan), math.radians(-0.5 + 0.99 * tilt)
+            off = servo.normal(0, return_deg, 2)
+            P, T = math.radians(0.8 + 1.01 * pan + off[0]), math.radians(-0.5 + 0.99 * tilt + off[1])
             at = np.array([d, d * math.tan(math.radians(pan)), d * math.tan(math.radians(tilt))])
             R = np.array([[math.cos(P), -math.sin(P), 0], [math.sin(P), math.cos(P), 0], [0, 0, 1]]) @ np.array(
                 [[math.cos(T), 0, -math.sin(T)], [0, 1, 0], [math.sin(T), 0, math.cos(T)]]
@@ -173,6 +191,19 @@ def test_the_covariance_knows_that_a_print_errs_alike_in_all_views():
             error, covariance = error_and_covariance(fit_camera(said, BODY, (640, 480)))
             out.append(error[2:4] @ np.linalg.solve(covariance[2:4, 2:4], error[2:4]) / 2)
     assert 0.4 < np.mean(knows) < 2.5 < 4 < np.mean(believes)
+
+
+def test_the_covariance_knows_that_a_servo_does_not_come_back_quite():
+    """Mahalanobis distance by its degrees of freedom: 3000 where each view is believed to stand where it should."""
+    views, knows, says_deg = ((0, 0), (-24, 0), (24, 0), (0, -8), (0, 8), (-16, -6), (16, 6)), [], []
+    for seed in range(12):
+        fit = fit_camera(corners(views=views, lens=(200.0,), seed=seed, return_deg=0.05), BODY, (640, 480))
+        error, covariance = error_and_covariance(fit)
+        known = [0, 1, 2, 3, 4, 6, 7, 8, 9]  # one lens position tells no breathing
+        knows.append(error[known] @ np.linalg.solve(covariance[np.ix_(known, known)], error[known]) / len(known))
+        says_deg.append(fit.noise_deg)
+    assert 0.4 < np.mean(knows) < 2.5
+    assert np.mean(says_deg) == pytest.approx(0.05, rel=0.2)
 
 
 @pytest.mark.parametrize(
@@ -485,6 +516,31 @@ def test_a_curve_is_as_sure_as_it_says_by_few_distances_and_by_a_tape_that_is_of
                 off_m = fit.u_inf_m + fit.b_m / (rho - fit.rho0) - u_m
                 pulls.append(off_m / math.sqrt(range_variance(fit, rho, 0.0)[1]))
         assert np.mean(np.abs(pulls) > 2.0) < 0.12 and np.mean(np.abs(pulls) > 0.3) > 0.3
+
+
+def test_places_of_one_sweep_share_their_tape_behind_a_port_too() -> None:
+    """What a port makes of one distance differs from place to place; how far the board stood was measured once."""
+    rng, at_m = np.random.default_rng(4), (0.4, 0.6, 0.9)
+    pulls = []
+    for _ in range(40):
+        rows, places = [], []
+        for number, read_m in enumerate(1.0 / np.linspace(1.0 / 0.22, 1.0 / 1.2, 8)):
+            tape_m = rng.normal(0.0, 0.001)
+            for px in PLACES_PX:
+                u_m = as_on_axis(read_m + tape_m, port_share(CAMERA, px))
+                rows.append(FocusRow(float(read_m), 102 + 136 / u_m + float(rng.normal(0.0, 0.3)), 30.0))
+                places.append(Place(number, px, 0.0))
+        on_axis, _ = without_field(rows, places, CAMERA)
+        fit = fit_focus(on_axis)
+        assert len(leave_one_out(on_axis)) == 8
+        for u_m in at_m:
+            rho = 102 + 136 / u_m
+            off_m = fit.u_inf_m + fit.b_m / (rho - fit.rho0) - u_m
+            pulls.append(off_m / math.sqrt(range_variance(fit, rho, 0.0)[1]))
+    assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 1.4
+    few = [(row, place) for row, place in zip(rows, places, strict=True) if place.sweep < 5]
+    with pytest.raises(CalibrationRefused, match="5 distances have a peak"):
+        without_field([row for row, _ in few], [place for _, place in few], CAMERA)
 
 
 @pytest.mark.parametrize(

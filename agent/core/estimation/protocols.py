@@ -179,14 +179,16 @@ def mix(said: Sequence[tuple[Posterior, float]], prior: Prior | None, alpha: flo
     """(1 - alpha) sum w x + alpha x̂ over weights that sum to 1, and a covariance for it.
 
     The paper has no covariance. Neighbours share most of their past, so their mean is credited with the mean of
-    their covariances (full correlation, an upper bound); the own prior is new and independent.
+    their covariances (full correlation, an upper bound). The own prior is new and independent, but for what stays in
+    all of this robot's samples: that does not average out.
     """
     keep = 1.0 - alpha
     x = [math.fsum(keep * w * p.x_m[k] for p, w in said) for k in range(3)]
     cov = [math.fsum(keep * keep * w * p.cov_m2[k] for p, w in said) for k in range(6)]
     if prior is not None:
         x = [a + alpha * b for a, b in zip(x, prior.x_m, strict=True)]
-        cov = [a + alpha * alpha * b for a, b in zip(cov, prior.cov_m2, strict=True)]
+        parts = zip(cov, prior.random_m2, prior.systematic_m2, strict=True)
+        cov = [a + alpha * alpha * random + (1.0 - keep * keep) * stays for a, random, stays in parts]
     return Posterior(_vector(x), _symmetric(cov))
 
 

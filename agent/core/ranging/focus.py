@@ -369,17 +369,19 @@ def with_sag(fit: FocusFit, peaks: Sequence[TiltedPeak]) -> FocusFit:
     """`fit` with the sag that these peaks show; as it was where they do not differ enough in tilt.
 
     A straight line of the peaks' shift against sin(tilt). Its intercept is left free: what warmed up since the
-    distances were taken is not sag.
+    distances were taken is not sag. Peaks of one tilt and distance are one, for they share what the tape has wrong.
     """
-    up = [math.sin(peak.tilt_rad) for peak in peaks]
-    if len(peaks) < 3 or max(up) - min(up) < MIN_SPREAD:
+    alike: dict[tuple[float, float], list[float]] = {}
+    for peak in peaks:
+        alike.setdefault((peak.tilt_rad, peak.u_m), []).append(peak.rho - lens_position(fit, peak.u_m))
+    up, shift = [math.sin(tilt_rad) for tilt_rad, _ in alike], [sum(own) / len(own) for own in alike.values()]
+    if len(up) < 3 or max(up) - min(up) < MIN_SPREAD:
         return fit
-    shift = [peak.rho - lens_position(fit, peak.u_m) for peak in peaks]
     mean_up, mean_shift = sum(up) / len(up), sum(shift) / len(shift)
     spread = sum((s - mean_up) ** 2 for s in up)
     sag = sum((s - mean_up) * (r - mean_shift) for s, r in zip(up, shift, strict=True)) / spread
     rest = sum((r - mean_shift - sag * (s - mean_up)) ** 2 for s, r in zip(up, shift, strict=True))
-    noise = max(math.sqrt(rest / (len(peaks) - 2)), fit.noise)
+    noise = max(math.sqrt(rest / (len(up) - 2)), fit.noise)
     return replace(fit, sag=sag, sag_sigma=noise / math.sqrt(spread))
 
 

@@ -209,7 +209,8 @@ def summary(rows: Rows) -> dict[str, Value]:
         of = rows["separation"]
         found["separation_least_m"] = Quantile([row["least_m"] for row in of], 0.0)
         found["separation_keep"] = Share(sum(row["least_m"] >= RINGS_M for row in of), len(of))
-        found["separation_reached"] = Share(sum(row["reached"] for row in of), sum(row["tried"] for row in of))
+        tried = sum(row["tried"] for row in of)  # the goals of one dive are no trials of their own
+        found["separation_reached"] = 100.0 * sum(row["reached"] for row in of) / tried if tried else math.nan
     if "target" in rows:
         errors_mm, nees = ([value for row in rows["target"] for value in row[key]] for key in ("error_mm", "nees"))
         error_mm, bound_mm = rms(errors_mm), rms([row["bound_mm"] for row in rows["target"]])

@@ -82,7 +82,8 @@ def summary(rows: Rows) -> dict[str, Value]:
     found: dict[str, Value] = {f"{case}_s": Quantile([row["s"] for row in of], 95.0) for case, of in rows.items()}
     if "three" in rows:
         of, least_m = rows["three"], [row["least_m"] for row in rows["three"]]
-        found["three_told"] = Share(sum(row["told"] for row in of), sum(row["robots"] for row in of))
+        # Robots of one dive are no trials of their own: a number, whose interval is that of dives.
+        found["three_told"] = 100.0 * sum(row["told"] for row in of) / sum(row["robots"] for row in of)
         found["three_least_m"] = Quantile(least_m, 0.0)
         found["three_keep"] = Share(sum(apart_m >= RINGS_M for apart_m in least_m), len(least_m))
     return found

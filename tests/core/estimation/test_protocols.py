@@ -52,6 +52,14 @@ def test_a_lone_observer_averages() -> None:
     assert robot.posterior.x_m[0] == pytest.approx(3.0)
 
 
+def test_what_all_samples_of_a_robot_have_wrong_alike_does_not_average_out() -> None:
+    robot, box = alone()
+    stays = (9e-6, 0.0, 0.0, 9e-6, 0.0, 9e-6)
+    for _ in range(300):
+        robot.tick(Prior((1.0, 0.0, 0.0), COV, 0, stays), box, SECOND_NS)
+    assert robot.posterior.cov_m2[0] == pytest.approx(stays[0] + COV[0] / 300)
+
+
 def test_the_first_sample_of_a_late_and_lone_robot_keeps_its_covariance() -> None:
     robot, box = alone(t=20)
     robot.tick(prior(1.0), box, SECOND_NS)

@@ -52,6 +52,13 @@ def test_views_that_hardly_differ_in_tilt_tell_nothing():
     assert with_sag(FIT, flat) == FIT and with_sag(FIT, peaks(5.5)[:2]) == FIT
 
 
+def test_sweeps_of_one_tilt_and_distance_share_what_the_tape_has_wrong():
+    once = with_sag(FIT, peaks(5.5, 3.0))
+    often = with_sag(FIT, peaks(5.5, 3.0) * 5)
+    assert (often.sag, often.sag_sigma) == pytest.approx((once.sag, once.sag_sigma))
+    assert with_sag(FIT, peaks(5.5)[:2] * 5) == FIT  # two settings tell nothing of their own scatter
+
+
 def test_a_level_lens_is_left_alone():
     known = with_sag(FIT, peaks(5.5))
     assert at_tilt(known, 0.0) == known and at_tilt(FIT, 0.0) == FIT
