@@ -122,7 +122,8 @@ def camera_tilt_rad(state: State) -> float:
         math.radians(deg or 0.0) for deg in (state.pan_deg, state.tilt_deg, state.roll_deg, state.pitch_deg)
     )
     ahead, left, up = math.cos(tilt) * math.cos(pan), math.cos(tilt) * math.sin(pan), math.sin(tilt)
-    return math.asin(-math.sin(pitch) * ahead + math.cos(pitch) * (math.sin(roll) * left + math.cos(roll) * up))
+    rise = -math.sin(pitch) * ahead + math.cos(pitch) * (math.sin(roll) * left + math.cos(roll) * up)
+    return math.asin(min(max(rise, -1.0), 1.0))
 
 
 def along_axes(name: str, x_m: Vector | None) -> dict[str, float | None]:

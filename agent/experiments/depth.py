@@ -83,10 +83,8 @@ def wall_places(camera: StillCamera, growth: float) -> list[Aside]:
     for number, u_m in enumerate(FIELD_M):
         camera.view = facing_wall(u_m)
         taken = clarity_of(sweep(camera), rho, BLOCK_PX, growth)
-        peaks, seen = (
-            measure(taken, BLOCK_PX, None).blocks,
-            at_lens_position(camera.seen(), float(rho[taken.reference])),
-        )
+        peaks = measure(taken, BLOCK_PX, None).blocks
+        seen = at_lens_position(camera.seen(), float(rho[taken.reference]))
         ways = outward(taken, seen, *(grid(length, BLOCK_PX) for length in taken.sharp.shape[:2]))
         for row, col in np.argwhere(peaks.accepted):
             px, way = middle_px(int(row), int(col), BLOCK_PX), float(ways[row, col])
