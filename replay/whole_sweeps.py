@@ -15,6 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.core.attitude import LATE_NS
 from agent.core.codec import decode
 from agent.core.messages import Whereabouts
 from agent.core.step_io import Inputs, Outputs, Sighting
@@ -92,7 +93,7 @@ def told(box: BlackBox) -> Told:
                 inputs = decode(record.data, Inputs, STEP_BYTES)
                 for one in inputs.telemetry:
                     pan, tilt = one.servos_us[:2]
-                    levels.append((one.t_ns, (one.depth_m, one.roll_deg, one.pitch_deg, pan, tilt)))
+                    levels.append((one.t_ns - LATE_NS, (one.depth_m, one.roll_deg, one.pitch_deg, pan, tilt)))
                 for peaks in inputs.blocks or ():
                     if peaks.sweep in steps:
                         views[peaks.t_ns] = WholeView(peaks.sweep, steps[peaks.sweep])

@@ -2,17 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections import deque
 from collections.abc import Iterable
 from typing import NamedTuple
 
 from msgspec import UNSET
 
+from agent.core.config import CAREFUL, Budget
 from agent.core.step_io import Telemetry
 from agent.core.step_transaction import Revertible
 
 KEEP_NS = 6_000_000_000  # longer than a full sweep: the sharpest frame may be its first
 FRESH_NS = 500_000_000  # 25 missed frames: the module is silent
+LATE_NS = 20_000_000  # telemetry comes so long after what it tells of: by the board's filter, and the way
+
+SENSORS_APART_M = 0.26  # from left to right and from front to back
+WARM_S = 600.0  # time constant by which they warm up
 
 
 class Attitude(NamedTuple):
@@ -30,6 +36,7 @@ class AttitudeLog(Revertible):
         """keep_ns: how long telemetry is kept."""
         self._keep_ns = keep_ns
         self._log: deque[Telemetry] = deque()
+        self._on_ns: int | None = None  # the earliest time that the module's clock may have begun at
         self.status: Telemetry | None = None  # the newest that has what comes once a second
 
     @property
@@ -38,6 +45,9 @@ class AttitudeLog(Revertible):
 
     def add(self, telemetry: Telemetry) -> None:
         self._log.append(telemetry)
+        began_ns = telemetry.t_ns - 1000 * telemetry.board_us
+        # It wraps after 71 minutes, and begins anew where the module does, whose sensors may stay warm.
+        self._on_ns = began_ns if self._on_ns is None else min(self._on_ns, began_ns)
         if telemetry.heap_free_b is not UNSET:
             self.status = telemetry
         while self._log[0].t_ns < telemetry.t_ns - self._keep_ns:
@@ -46,6 +56,10 @@ class AttitudeLog(Revertible):
     def extend(self, told: Iterable[Telemetry]) -> None:
         for telemetry in told:
             self.add(telemetry)
+
+    def on_s(self, t_ns: int) -> float:
+        """How long the control module had been on by then."""
+        return 0.0 if self._on_ns is None else max(t_ns - self._on_ns, 0) * 1e-9
 
     def silent(self, now_ns: int, since_ns: int) -> bool:
         """Whether no telemetry came of late; `since_ns` is when listening began."""
@@ -63,10 +77,11 @@ class AttitudeLog(Revertible):
     def now(self, now_ns: int) -> Attitude | None:
         """By the newest telemetry; None: the module is silent."""
         newest = self.newest
-        return None if newest is None or self.silent(now_ns, 0) else self.at(newest.t_ns)
+        return None if newest is None or self.silent(now_ns, 0) else self.at(newest.t_ns - LATE_NS)
 
     def at(self, t_ns: int) -> Attitude | None:
-        """Linear between the two frames around a time; None where there are none near."""
+        """Linear between the two frames that tell of about that time; None where there are none near."""
+        t_ns += LATE_NS
         before = after = None
         for telemetry in reversed(self._log):  # the time asked about is a moment ago
             if telemetry.t_ns <= t_ns:
@@ -83,3 +98,31 @@ class AttitudeLog(Revertible):
             before.roll_deg + share * (after.roll_deg - before.roll_deg),
             before.pitch_deg + share * (after.pitch_deg - before.pitch_deg),
         )
+
+
+class Zeros(NamedTuple):
+    """What the zeros of the pressure sensors make wrong of height and of roll and pitch, as standard deviations."""
+
+    height_m: float
+    tilt_rad: float
+    height_m_s: float  # of how fast that changes
+    tilt_rad_s: float
+
+
+def zeros(budget: Budget, on_s: float) -> Zeros:
+    """Of a module that has been on for so long.
+
+    The zeros of its four sensors, found cold, wander by budget.drift_m each, by itself: depth is their mean, roll and
+    pitch are differences of two means over SENSORS_APART_M.
+    """
+    cold = math.exp(-on_s / WARM_S)
+    drift_m, drift_m_s = budget.drift_m * (1.0 - cold), budget.drift_m * cold / WARM_S
+    return Zeros(
+        math.hypot(budget.height_m, 0.5 * drift_m),
+        math.hypot(math.radians(budget.attitude_deg), drift_m / SENSORS_APART_M),
+        0.5 * drift_m_s,
+        drift_m_s / SENSORS_APART_M,
+    )
+
+
+TARED = zeros(CAREFUL, 0.0)

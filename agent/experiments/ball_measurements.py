@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.clock.clock import StandingClock
-from agent.core.config import Cues, Fleet, Pose, Target, WaterKind
+from agent.core.attitude import Attitude, zeros
+from agent.core.config import CAREFUL, Cues, Fleet, Pose, Target, WaterKind
 from agent.core.estimation.track import outer
 from agent.core.linear_algebra import full, plus, times, trace
 from agent.core.messages import Vector
@@ -44,7 +45,7 @@ from hw.twin.dive import Dive
 from hw.twin.optics.lens import Vcm, draw_lens
 from hw.twin.optics.painter import Painter
 from hw.twin.physics.body import SENSOR_M, SURVEY_DEG, SURVEY_M
-from hw.twin.physics.sensors import CORNERS, DRIFT_M_S, NOISE_M
+from hw.twin.physics.sensors import CORNERS, DRIFT_M_S, DRIFT_S, NOISE_M
 from hw.twin.scene import Scene, Solid, generator, in_daylight, scene_of
 from hw.twin.truth import PaintedTag
 
@@ -132,13 +133,13 @@ DIVE_S = 120.0  # sensors have drifted for up to so long
 AVERAGED = 10  # samples of a sensor, 0.1 s: what the control module's observer makes of them
 
 
-def level_of(depth_m: float, roll_deg: float, pitch_deg: float, rng: np.random.Generator) -> Vector:
-    """Depth (m), roll and pitch (degrees) as they are measured at some time of a dive, from what they are."""
-    drift = rng.normal(0.0, DRIFT_M_S, 4) * rng.uniform(0.0, DIVE_S)
-    error_m = drift + rng.normal(0.0, NOISE_M / math.sqrt(AVERAGED), 4)
+def level_of(depth_m: float, roll_deg: float, pitch_deg: float, rng: np.random.Generator) -> tuple[Attitude, float]:
+    """Attitude as it is measured at some time of a dive, from what it is; and that time, s."""
+    rate_m_s, on_s = rng.normal(0.0, DRIFT_M_S, 4), float(rng.uniform(0.0, DIVE_S))
+    error_m = rate_m_s * DRIFT_S * -math.expm1(-on_s / DRIFT_S) + rng.normal(0.0, NOISE_M / math.sqrt(AVERAGED), 4)
     # z rises to the left with roll, and falls ahead with pitch: a sensor that reads too deep stands too low.
     roll_off, pitch_off = (float(math.degrees((error_m * CORNERS[:, k]).sum() / (4.0 * SENSOR_M))) for k in (1, 0))
-    return depth_m + float(error_m.mean()), roll_deg - roll_off, pitch_deg + pitch_off
+    return Attitude(depth_m + float(error_m.mean()), roll_deg - roll_off, pitch_deg + pitch_off), on_s
 
 
 # --- measurements of a ball ---
@@ -162,7 +163,8 @@ class Placement(NamedTuple):
     position_m: Vector
     roll_pitch_yaw_deg: Vector
     pose: Pose  # surveyed
-    level: Vector  # depth_m, roll_deg, pitch_deg as measured
+    level: Attitude  # as measured
+    on_s: float  # how long its control module had been on
 
 
 def ball_measurements(seed: int, count: int, sensor: str) -> Iterator[Row]:
@@ -189,7 +191,7 @@ def ball_measurements(seed: int, count: int, sensor: str) -> Iterator[Row]:
         found = sweep_ball(robot, vision, fleet, name, known)
         row: Row = {"distance_m": placement.distance_m}
         for cue in get_args(Cues):
-            row[cue] = errors(found, eye, known, target, cue, ball_m, placement.distance_m)
+            row[cue] = errors(found, eye, known, target, cue, ball_m, placement)
         yield row
 
 
@@ -213,8 +215,8 @@ def draw_placement(fleet: Fleet, ball_m: Vector, distance_m: float, rng: np.rand
         y_m=y + float(rng.normal(0.0, off_m)),
         yaw_deg=yaw_deg + float(rng.normal(0.0, off_deg)),
     )
-    level = level_of(fleet.tank.surface_m - z, roll_deg, pitch_deg, rng)
-    return Placement(distance_m, (x, y, z), (roll_deg, pitch_deg, yaw_deg), pose, level)
+    level, on_s = level_of(fleet.tank.surface_m - z, roll_deg, pitch_deg, rng)
+    return Placement(distance_m, (x, y, z), (roll_deg, pitch_deg, yaw_deg), pose, level, on_s)
 
 
 def place_robot(
@@ -258,7 +260,7 @@ def errors(
     ball: Target,
     cue: Cues,
     truth_m: Vector,
-    distance_m: float,
+    placement: Placement,
 ) -> Row:
     """The error of one measurement in millimetres, and in standard deviations; or why there is none.
 
@@ -267,7 +269,8 @@ def errors(
     if isinstance(found, NoRange):
         return {"refused": found.reason}
     measured = found.outline, found.lens_position, found.sigma, ball, cue
-    fix, reach = locate(known, eye, *measured), distance(known, *measured, eye.tilt_rad)
+    fix = locate(known, eye, *measured, zeros=zeros(CAREFUL, placement.on_s))
+    reach = distance(known, *measured, eye.tilt_rad)
     if isinstance(fix, NoRange) or isinstance(reach, NoRange):
         return {"refused": fix.reason if isinstance(fix, NoRange) else ""}
     e = np.array(fix.position_m) - truth_m
@@ -277,7 +280,7 @@ def errors(
         "nees": float(e @ np.linalg.solve(full(covariance), e)),
         "error_mm": 1e3 * float(np.linalg.norm(e)),
         "sigma_mm": 1e3 * math.sqrt(trace(covariance)),
-        "range_mm": 1e3 * (reach.distance_m + known.camera.ahead_m - distance_m),
+        "range_mm": 1e3 * (reach.distance_m + known.camera.ahead_m - placement.distance_m),
         "range_sigma_mm": 1e3 * math.sqrt(reach.variance_m2),
         "focus_share": fix.focus_share,
     }

@@ -13,7 +13,8 @@ import numpy as np
 from msgspec.structs import replace
 from numpy.typing import NDArray
 
-from agent.core.config import Estimation, Fleet, Look, Orbit, Pose, Protocol, Robot, Tank, Target
+from agent.core.attitude import TARED, zeros
+from agent.core.config import CAREFUL, Estimation, Fleet, Look, Orbit, Pose, Protocol, Robot, Tank, Target
 from agent.core.estimation.interface import Prior
 from agent.core.estimation.protocols import shared_of
 from agent.core.linear_algebra import difference, distance2, full, plus, upper, wrap
@@ -26,6 +27,8 @@ from agent.experiments.navigation.basin import TANK as BASIN
 from agent.experiments.navigation.basin import PlanarBodies
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.robot.step import Agent
+from hw.twin.physics.body import SENSOR_M
+from hw.twin.physics.sensors import CORNERS, DRIFT_M_S, DRIFT_S
 
 # --- a fleet that agrees while something is wrong ---
 # A fleet that agrees on a target while something is wrong: its kernels' own targets, links that delay, and clocks.
@@ -82,6 +85,7 @@ class Case(NamedTuple):
     long: tuple[float, ...] = ()  # by which share the ranges of each robot are long, beside the budget; beyond: 0
     spread_rad: float = 2.0 * math.pi  # over which the robots stand around the target
     offset_m: Callable[[int, float], Array] | None = None  # what robot i has wrong, and does not know of
+    on_s: float | None = None  # how long the control modules were on before; None: their sensors do not drift
     protocol: Protocol = "evidence"
 
 
@@ -106,6 +110,7 @@ def dive(case: Case, seconds: float, seed: int) -> Iterator[Belief]:
     shared = shared_of(fleet, "it")
     stays = rng.normal(0.0, STAYS_M, (len(names), 3)) + rng.multivariate_normal(np.zeros(3), full(shared.place_m2))
     of_all = float(rng.normal(0.0, shared.scale))
+    drift = None if case.on_s is None else Drift(case.on_s, stands, seed)
     clocks = [lambda ns, i=i: START_NS + ns + round(case.clock_s(i, ns * 1e-9) * 1e9) for i in range(len(names))]
     states = [TargetState(fleet, name, "it", clocks[k](0)) for k, name in enumerate(names)]
     phase = [float(rng.uniform(0.0, case.period_s)) for _ in names]
@@ -124,7 +129,8 @@ def dive(case: Case, seconds: float, seed: int) -> Iterator[Belief]:
                 if case.sees[i] and not case.hidden(i, due_s[i]) and (at := case.path(due_s[i])) is not None:
                     off = stays[i] + (of_all + long[i]) * (at - stands[i])
                     off = off if case.offset_m is None else off + case.offset_m(i, due_s[i])
-                    state.measure(sample(at, stands[i], off, clocks[i](round(due_s[i] * 1e9)), rng))
+                    found = sample(at, stands[i], off, clocks[i](round(due_s[i] * 1e9)), rng)
+                    state.measure(found if drift is None else drift.of(found, i, due_s[i]))
                 due_s[i] += case.period_s
             if ns - iterated[i] >= iteration_ns or (state.prior is not None and ns - iterated[i] >= iteration_ns // 2):
                 iterated[i] = ns
@@ -143,6 +149,35 @@ def dive(case: Case, seconds: float, seed: int) -> Iterator[Belief]:
                     heapq.heappush(post, (at_ns, sent, j, estimate))
         if step % 10 == 0:
             yield from (belief(state, k, s, clocks[k](ns), case.path(s)) for k, state in enumerate(states))
+
+
+def by_pressure(tilt_rad: float, height_m: float, arm_m: Array) -> Array:
+    """Covariance of what these standard deviations move at the end of an arm."""
+    turns = np.cross(np.eye(3)[:2], arm_m)
+    return np.asarray(tilt_rad**2 * turns.T @ turns + np.diag((0.0, 0.0, height_m**2)))
+
+
+class Drift:
+    """What pressure sensors that warm up make wrong of where robots see things: each of four by itself."""
+
+    def __init__(self, on_s: float, stands: Array, seed: int) -> None:
+        """on_s: how long they had been on before the dive."""
+        self._warm_m = DRIFT_M_S * DRIFT_S * np.random.default_rng((seed, 53)).standard_normal((len(stands), 4))
+        self._on_s, self._stands = on_s, stands
+
+    def of(self, sample: Prior, i: int, s: float) -> Prior:
+        """A sample of robot i at s with that in it, and what it says of it."""
+        on_s, arm = self._on_s + s, np.array(sample.x_m) - self._stands[i]
+        too_deep_m = self._warm_m[i] * -math.expm1(-on_s / DRIFT_S)
+        tilt = too_deep_m @ CORNERS / (4.0 * SENSOR_M)  # ahead and to the left it seems to be lower by so much
+        x, y, z = (np.array(sample.x_m) + np.cross((-tilt[1], tilt[0], 0.0), arm)).tolist()
+        now, cold = zeros(CAREFUL, on_s), TARED  # what a tare leaves is in STAYS_M
+        height_m, tilt_rad = (math.sqrt(a * a - b * b) for a, b in zip(now[:2], cold[:2], strict=True))
+        return sample._replace(
+            x_m=(x, y, z - float(too_deep_m.mean())),
+            systematic_m2=plus(sample.systematic_m2, upper(by_pressure(tilt_rad, height_m, arm))),
+            drift_m2_s2=upper(by_pressure(now.tilt_rad_s, now.height_m_s, arm)),
+        )
 
 
 def sample(at: Array, stand_m: Array, off_m: Array, t_ns: int, rng: np.random.Generator) -> Prior:
@@ -374,6 +409,8 @@ ROWS = {
     "crooked-15": Doubt("fifteen robots, each 3 mm off", crooked, True),
     "level-10": Doubt("the water is 10 mm higher than all believe", ball(offset_m=off_by(0.0, 0.01)), True, False),
     "survey-10": Doubt("the survey is 10 mm off for all", ball(offset_m=off_by(0.01, 0.0)), True, False),
+    "cold": Doubt("a ball at rest, pressure sensors from cold, nothing else wrong", ball(on_s=0.0), True),
+    "warm": Doubt("the same, sensors that have drifted for ten minutes", ball(on_s=600.0), True),
     "paper": Doubt("a ball at rest, the paper's protocol, nothing wrong", ball(protocol="paper"), True),
     "table-3": Doubt("the focus table of one robot is 3 % long", ball(long=(0.03,)), True),
     "map": Doubt("own pose by tags, nothing wrong", by_tags(moved_tags(0.0)), True),
@@ -445,10 +482,10 @@ def summary(rows: Rows) -> dict[str, Value]:
 def figures() -> tuple[Figure, ...]:
     found = []
     for case, of in ROWS.items():
-        nothing = case in ("ball", "fish", "map")
+        nothing = case in ("ball", "fish", "cold", "warm", "map")
         found.append(Figure(f"{case}.error_mm", f"{of.words}: error", "mm"))
         found.append(Figure(f"{case}.sigma_mm", "it says", "mm"))
-        exact = case in ("ball", "fish")  # a pose by tags says rather more, see tag-fix
+        exact = case in ("ball", "fish", "cold", "warm")  # a pose by tags says rather more, see tag-fix
         found.append(Figure(f"{case}.nees", "NEES", "", least=2.5 if exact else None, most=3.5 if exact else None))
         if nothing:
             found.append(Figure(f"{case}.said", "dives in which something is said", "%", most=5.0))

@@ -208,7 +208,7 @@ USUAL: Mapping[str, tuple[float, float]] = {
     "tank.size_m": (0.1, 60.0),
     "landmarks.size_m": (0.01, 1.0),
     # of what a laboratory has surveyed
-    **{f"budget.{key}_m": (0.0, 0.1) for key in ("level", "survey", "place", "height")},
+    **{f"budget.{key}_m": (0.0, 0.1) for key in ("level", "survey", "place", "height", "drift")},
     **{f"budget.{key}_deg": (0.0, 30.0) for key in ("heading", "attitude")},
     "body.camera_m": (-1.0, 1.0),
     "body.servo_centre_us": (500.0, 2500.0),

@@ -10,7 +10,7 @@ from collections.abc import Collection, Iterable, Mapping
 from msgspec import UNSET, UnsetType
 from msgspec.structs import replace
 
-from agent.core.attitude import AttitudeLog
+from agent.core.attitude import AttitudeLog, zeros
 from agent.core.capability import (
     CameraAct,
     Capability,
@@ -110,7 +110,7 @@ class Targets(Revertible):
         if isinstance(fix, NoRange):
             self._note("warning", f"sweep rejected: {fix.reason}", now_ns)
         else:
-            prior = Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2, fix.lever_m)
+            prior = Prior(fix.position_m, fix.random_m2, result.t_ns, fix.systematic_m2, fix.lever_m, fix.drift_m2_s2)
             if known is None or not self._kept(result, known, prior, now_ns):
                 self.current.measure(prior)
         return self._light.marked(sweep_outcome(self.watched, result, fix))
@@ -150,7 +150,8 @@ class Targets(Revertible):
         ball = self.current.ball
         outline, sigma, cues = self._light.corrected(peak, eye, ball, self._fleet.ranging.cues)
         budget = self._fleet.budget
-        return locate(self._calibration, eye, outline, peak.lens_position, sigma, ball, cues, own, budget)
+        by_pressure = zeros(budget, self._attitude.on_s(peak.t_ns))
+        return locate(self._calibration, eye, outline, peak.lens_position, sigma, ball, cues, own, budget, by_pressure)
 
     def _compare(self, peak: Measurement, refused: bool, now_ns: int) -> None:
         """Take note of what the sweep says of focus and size, where both speak."""

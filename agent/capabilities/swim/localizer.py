@@ -32,7 +32,7 @@ from agent.capabilities.swim.tag_fix import (
     wake_rad,
     whole,
 )
-from agent.core.attitude import Attitude
+from agent.core.attitude import TARED, Attitude, Zeros
 from agent.core.capability import CameraView
 from agent.core.config import Body, Fleet
 from agent.core.estimation.interface import Posterior, Prior
@@ -208,6 +208,7 @@ class Carriage(NamedTuple):
 
     level: Attitude
     gimbal: Gimbal
+    zeros: Zeros = TARED
 
 
 class Unsettled(NamedTuple):
@@ -471,4 +472,11 @@ def _priors(carriage: Carriage, moving: Belief | None) -> Priors:
     """moving: None of a robot that is not known to."""
     speed_m_s = 0.0 if moving is None else math.hypot(moving.x[3], moving.x[4])
     gimbal = carriage.gimbal
-    return priors(carriage.level, gimbal.deg, speed_m_s, turning=not gimbal.rests, lag_deg=gimbal.lag_sigma_deg)
+    return priors(
+        carriage.level,
+        gimbal.deg,
+        speed_m_s,
+        turning=not gimbal.rests,
+        lag_deg=gimbal.lag_sigma_deg,
+        zeros=carriage.zeros,
+    )

@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 from agent.capabilities.swim.landmark_look import half_picture_deg
 from agent.capabilities.swim.swimmer import Swimmer, pose_of
 from agent.capabilities.swim.tag_fix import TURNING_DEG
-from agent.core.attitude import Attitude, AttitudeLog
+from agent.core.attitude import Attitude, AttitudeLog, zeros
 from agent.core.capability import CameraAct, Situation
 from agent.core.config import Body, Fleet, Target
 from agent.core.estimation.interface import Bearing, Posterior
@@ -226,7 +226,7 @@ class Pursuit(Revertible):
             sized=self._fleet.ranging.cues != "focus",
             velocity_m_s=None if believed is None else believed.v_m_s,
             tilt_sigma_rad=math.radians(play_deg) if gimbal.tracks else 0.0,
-            budget=self._fleet.budget,
+            zeros=zeros(self._fleet.budget, self._attitude.on_s(seen.t_ns)),
         )
 
     def goes_with(self, situation: Situation) -> bool:

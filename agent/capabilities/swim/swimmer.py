@@ -36,7 +36,7 @@ from agent.capabilities.swim.localizer import (
 )
 from agent.capabilities.swim.pose_filter import Belief, Wrench
 from agent.capabilities.swim.search import Hunt, Surroundings, velocity_m_s
-from agent.core.attitude import Attitude, AttitudeLog
+from agent.core.attitude import Attitude, AttitudeLog, zeros
 from agent.core.capability import BodyAct, CameraAct, CameraView, Situation, SwimPhase
 from agent.core.config import Behaviour, Fleet, Follow, Hold, Pose, Robot, Search, Survey
 from agent.core.estimation.interface import Posterior
@@ -258,7 +258,7 @@ class Swimmer(Revertible):
         robot, self.deconfliction, self._attitude = fleet.robot[name], Deconfliction(fleet, name, incarnation), attitude
         self._limits, self.active = fleet.navigation.limits, ActiveBehaviour(robot)
         self._tank_m = fleet.tank.size_m[0], fleet.tank.size_m[1]
-        self._swims = pursued(fleet)
+        self._swims, self._budget = pursued(fleet), fleet.budget
         self._depth_m = robot.depth_m
         self._target_context = TargetContext(fleet, calibration)
         self.localizer = Localizer(fleet, calibration)
@@ -349,7 +349,9 @@ class Swimmer(Revertible):
     def _carriage_at(self, t_ns: int, attitude: AttitudeLog) -> Carriage | None:
         """Level and gimbal at that time; None: one of them is not known."""
         level, gimbal = attitude.at(t_ns), self.gimbal.at(t_ns)
-        return None if level is None or gimbal is None else Carriage(level, gimbal)
+        if level is None or gimbal is None:
+            return None
+        return Carriage(level, gimbal, zeros(self._budget, attitude.on_s(t_ns)))
 
     @property
     def under_way(self) -> bool:

@@ -25,6 +25,7 @@ class Prior(NamedTuple):
     t_ns: int  # when the sharpest frame was exposed
     systematic_m2: Symmetric = NOTHING  # of what does not: the same error in every measurement of this robot
     lever_m: Vector = (0.0, 0.0, 0.0)  # from the camera to there, world frame
+    drift_m2_s2: Symmetric = NOTHING  # of how fast its systematic error changes
 
     @property
     def cov_m2(self) -> Symmetric:

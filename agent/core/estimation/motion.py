@@ -2,11 +2,12 @@
 
 At rest the mean of the newest m own samples is held against the mean of those before them, for several m:
 
-    g_m = D' (s^2 R (1/m + 1/n) + c^2 I)^-1 D        D: the difference, R: random covariance of a sample
+    g_m = D' (s^2 R (1/m + 1/n) + c^2 I + t^2 V)^-1 D    D: the difference, R: random covariance of a sample
 
 The own mean is the reference, not the agreed place: what stays wrong of a robot is in both, and raises no alarm. s^2 is
 by how much more samples scatter than they say: the median of squared differences of neighbouring samples, for a jump is
-one difference of many. c is what a robot's own pose and pressure drift by meanwhile.
+one difference of many. V is of how fast a robot's own height and level drift, as it says, and t the time between the
+means; c is what its place drifts by besides.
 
 Moving turns to rest when the track has stayed in one place for half a minute.
 """
@@ -72,9 +73,17 @@ class Motion(Revertible):
 
     # --- at rest ---
 
+    def innovation(self, prior: Prior) -> Innovation | None:
+        """Of the next own sample of a target at rest, by the own samples of the last minutes; None: there are none."""
+        old = _between(self._sums, -BEFORE)
+        if not old.samples:
+            return None
+        step_m, covariance_m2 = _apart(_sum([_own(prior)]), old, 1.0, 0.0)
+        return Innovation(step_m, covariance_m2, distance2(covariance_m2, step_m))
+
     def rested(self, prior: Prior) -> Moved | None:
         """Take note of one own sample of a target at rest; whether it rests no more."""
-        self._own.append(Own(prior.t_ns, prior.x_m, floored(prior.random_m2)))
+        self._own.append(_own(prior))
         self._sums.append(_add(self._sums[-1], self._own[-1]))
         own, sums = tuple(self._own), tuple(self._sums)
         spans = [m for m in SPANS if len(own) - m >= FEWEST]
@@ -152,22 +161,30 @@ class Own(NamedTuple):
     t_ns: int
     x_m: Vector
     random_m2: Symmetric
+    drift_m2_s2: Symmetric
+
+
+def _own(prior: Prior) -> Own:
+    return Own(prior.t_ns, prior.x_m, floored(prior.random_m2), prior.drift_m2_s2)
 
 
 class Sum(NamedTuple):
     """Of several own samples."""
 
     samples: int
+    t_ns: int
     x_m: Vector
     random_m2: Symmetric
+    drift_m2_s2: Symmetric
 
 
-NONE = Sum(0, (0.0, 0.0, 0.0), ZERO)
+NONE = Sum(0, 0, (0.0, 0.0, 0.0), ZERO, ZERO)
 
 
 def _add(to: Sum, own: Own) -> Sum:
     (x, y, z), (u, v, w) = to.x_m, own.x_m
-    return Sum(to.samples + 1, (x + u, y + v, z + w), plus(to.random_m2, own.random_m2))
+    spread, drift = plus(to.random_m2, own.random_m2), plus(to.drift_m2_s2, own.drift_m2_s2)
+    return Sum(to.samples + 1, to.t_ns + own.t_ns, (x + u, y + v, z + w), spread, drift)
 
 
 def _sum(of: Iterable[Own]) -> Sum:
@@ -178,7 +195,13 @@ def _between(sums: Sequence[Sum], first: int, end: int | None = None) -> Sum:
     """The sum of some samples, of the sums of the first k: indices count from the end, as those of a slice do."""
     last = sums[-1 if end is None else end - 1]
     before = sums[max(first - 1, -len(sums))]
-    return Sum(last.samples - before.samples, difference(last.x_m, before.x_m), minus(last.random_m2, before.random_m2))
+    return Sum(
+        last.samples - before.samples,
+        last.t_ns - before.t_ns,
+        difference(last.x_m, before.x_m),
+        minus(last.random_m2, before.random_m2),
+        minus(last.drift_m2_s2, before.drift_m2_s2),
+    )
 
 
 def _apart(new: Sum, old: Sum, s2: float, drift_m: float = DRIFT_M) -> tuple[Vector, Symmetric]:
@@ -186,6 +209,8 @@ def _apart(new: Sum, old: Sum, s2: float, drift_m: float = DRIFT_M) -> tuple[Vec
     m, n = new.samples, old.samples
     (x, y, z), (u, v, w) = new.x_m, old.x_m
     spread = plus(times(s2 / (m * m), new.random_m2), times(s2 / (n * n), old.random_m2))
+    t_s = (new.t_ns / m - old.t_ns / n) * 1e-9
+    spread = plus(spread, times(t_s * t_s / (m + n), plus(new.drift_m2_s2, old.drift_m2_s2)))
     return (x / m - u / n, y / m - v / n, z / m - w / n), plus(spread, times(drift_m * drift_m, IDENTITY))
 
 

@@ -13,9 +13,10 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
+from agent.core.attitude import TARED, Zeros
 from agent.core.config import CAREFUL, Budget, Cues, Target
 from agent.core.estimation.evidence_table import inside
-from agent.core.estimation.interface import Bearing
+from agent.core.estimation.interface import NOTHING, Bearing
 from agent.core.linear_algebra import ZERO, cross, difference, plus, times
 from agent.core.messages import Symmetric, Vector
 from agent.core.ranging.camera_model import (
@@ -35,6 +36,7 @@ from agent.core.ranging.focus import at_tilt, h, in_direction, port_share, range
 from agent.core.target_state import bearing, ranged
 from agent.core.verdict import Ratio
 
+X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 BOX_NOISE = 0.05  # of a box's width and height: trackers jitter by so much, and people draw no better
 
 
@@ -46,6 +48,7 @@ class Fix(NamedTuple):
     systematic_m2: Symmetric  # does not: the same in every measurement of this robot, and of no other
     focus_share: float = 1.0  # of the range, by focus; the rest by size
     lever_m: Vector = (0.0, 0.0, 0.0)  # from the camera to there
+    drift_m2_s2: Symmetric = NOTHING  # of how fast the systematic error changes
 
     @property
     def covariance_m2(self) -> Symmetric:
@@ -63,13 +66,15 @@ def locate(
     cues: Cues = "both",
     own: OwnPose | None = None,
     budget: Budget = CAREFUL,
+    zeros: Zeros = TARED,
 ) -> Fix | NoRange:
     """The ball's centre from its outline in the sharpest frame and from the lens position of the clarity's peak. By the
     outline alone where the focus is fixed (rho: None); of a thing of unknown size that is a bearing.
 
     Of what is in a box: the point of its surface behind the middle of the box. own: how well a robot that swims knows
     where it was then; None: it is moored. budget: of it counts what each robot has wrong for itself; what all have
-    alike, the ball's radius too, is added where their measurements are put together (protocols.shared_of).
+    alike, the ball's radius too, is added where their measurements are put together (protocols.shared_of). zeros: by
+    then, of the sensors that tell height and attitude.
 
     NoRange where the wanted cues have no range, or contradict each other.
     """
@@ -90,21 +95,20 @@ def locate(
     shifts = [(push, px2) for push in pushed]
     boxed = [(push, (BOX_NOISE * side) ** 2) for push, side in zip(pushed, outline.size_px or (), strict=False)]
     arm = (x - eye.body_m[0], y - eye.body_m[1], z - eye.body_m[2])
-    level, heading = math.radians(budget.attitude_deg) ** 2, math.radians(budget.heading_deg) ** 2
-    place2 = budget.place_m**2
+    heading, place2 = math.radians(budget.heading_deg) ** 2, budget.place_m**2
     if own is not None:
         heading = place2 = 0.0  # `own` has them
-    attitude = [
-        (cross(e, arm), s) for e, s in (((1.0, 0.0, 0.0), level), ((0.0, 1.0, 0.0), level), ((0.0, 0.0, 1.0), heading))
-    ]
-    place = [((1.0, 0.0, 0.0), place2), ((0.0, 1.0, 0.0), place2), ((0.0, 0.0, 1.0), budget.height_m**2)]
+    rolled, pitched, turned = (cross(e, arm) for e in (X, Y, Z))
+    attitude = [(rolled, zeros.tilt_rad**2), (pitched, zeros.tilt_rad**2), (turned, heading)]
+    place = [(X, place2), (Y, place2), (Z, zeros.height_m**2)]
+    drift_m2_s2 = _sum([(rolled, zeros.tilt_rad_s**2), (pitched, zeros.tilt_rad_s**2), (Z, zeros.height_m_s**2)])
     random_m2 = _sum([(r, d.random_m2), *turns, *shifts])
     systematic_m2 = _sum([(r, d.systematic_m2), *attitude, *place, *boxed])
     if own is not None:
         random_m2 = plus(random_m2, times(own.kappa, carried(arm, own.fluctuates)))
         systematic_m2 = plus(systematic_m2, carried(arm, own.stays))
     lever_m = difference((x, y, z), eye.position_m)
-    return Fix((x, y, z), random_m2, systematic_m2, d.focus_share, lever_m)
+    return Fix((x, y, z), random_m2, systematic_m2, d.focus_share, lever_m, drift_m2_s2)
 
 
 def _slope_shift(e: Vector, r: Vector, m_e: float, m_z: float, d: Range) -> Vector:
@@ -424,7 +428,7 @@ def sight_line(
     sized: bool = True,
     velocity_m_s: Vector | None = None,
     tilt_sigma_rad: float = 0.0,
-    budget: Budget = CAREFUL,
+    zeros: Zeros = TARED,
 ) -> Bearing:
     """The bearing of what a frame exposed at t_ns shows.
 
@@ -456,7 +460,7 @@ def sight_line(
     px_sigma = math.hypot(
         camera.noise_px, outline.centre_sigma_px, *_bent_px(outline, target, camera.f_px / range_m, side)
     )
-    sigma_rad = math.hypot(px_sigma / camera.f_px, gimbal_sigma_rad, math.radians(budget.attitude_deg))
+    sigma_rad = math.hypot(px_sigma / camera.f_px, gimbal_sigma_rad, zeros.tilt_rad)
     line = bearing((px, py, pz), r, range_m, sigma_rad, t_ns, pose_m2, sigma_m, way)
     if far_m is None:
         return line

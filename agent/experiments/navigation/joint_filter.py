@@ -270,4 +270,5 @@ class Replayed:
 
 
 def _priors(carriage: Carriage, speed_m_s: float = 0.0) -> Priors:
-    return priors(carriage.level, carriage.gimbal.deg, speed_m_s, turning=not carriage.gimbal.rests)
+    turning = not carriage.gimbal.rests
+    return priors(carriage.level, carriage.gimbal.deg, speed_m_s, turning, zeros=carriage.zeros)

@@ -16,7 +16,7 @@ import numpy as np
 from agent.capabilities.swim.landmarks import markers
 from agent.capabilities.swim.projection import readable, view
 from agent.capabilities.swim.tag_fix import Map, TagFix, priors, tag_fix
-from agent.core.attitude import Attitude
+from agent.core.attitude import Attitude, Zeros, zeros
 from agent.core.config import Fleet, Pose
 from agent.core.linear_algebra import distance2, wrap
 from agent.core.ranging.camera_model import Calibration, at_lens_position, gimbal_deg, servos_us
@@ -49,6 +49,7 @@ class Stand(NamedTuple):
     yaw: float  # rad
     level: Attitude  # as measured
     gimbal_deg: tuple[float, float]  # by calibration
+    zeros: Zeros  # of the sensors that measured it
 
 
 def fixes(seed: int, places: int = PLACES) -> list[Row]:
@@ -82,8 +83,8 @@ def stands(
         roll_deg, pitch_deg = (float(deg) for deg in rng.normal(0.0, TILTED_DEG, 2))
         us = servos_us(camera, body, float(rng.uniform(*PAN_DEG)), float(rng.uniform(*TILT_DEG)))
         robot.stand((x, y, TANK.surface_m - depth_m), rotation_of(roll_deg, pitch_deg, yaw_deg), us)
-        level = Attitude(*level_of(depth_m, roll_deg, pitch_deg, rng))
-        yield Stand(x, y, math.radians(yaw_deg), level, gimbal_deg(camera, body, us))
+        level, on_s = level_of(depth_m, roll_deg, pitch_deg, rng)
+        yield Stand(x, y, math.radians(yaw_deg), level, gimbal_deg(camera, body, us), zeros(fleet.budget, on_s))
 
 
 def judged(
@@ -99,7 +100,7 @@ def judged(
     off = rng.normal(0.0, (OFF_M, OFF_M, math.radians(OFF_DEG)))
     start = stand.x_m + float(off[0]), stand.y_m + float(off[1]), wrap(stand.yaw + float(off[2]))
     of = view(calibration.camera, fleet.body, TANK.surface_m, lens)
-    before = priors(stand.level, stand.gimbal_deg, 0.0, turning=False)
+    before = priors(stand.level, stand.gimbal_deg, 0.0, turning=False, zeros=stand.zeros)
     tags = readable([one.seen for one in found], known.landmarks.size_m, calibration.swept, lens)
     fix = tag_fix(of, before, known, tags, start)
     blurs = [one.blur_px for one in found if one.blur_px is not None]
