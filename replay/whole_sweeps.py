@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.core.attitude import LATE_NS
+from agent.core.attitude import LATE_NS, AttitudeLog
 from agent.core.codec import decode
 from agent.core.messages import Whereabouts
 from agent.core.step_io import Inputs, Outputs, Sighting
@@ -36,6 +36,7 @@ class Level(NamedTuple):
     roll_deg: float
     pitch_deg: float
     servos_us: tuple[float, float]  # of the camera: pan, tilt
+    on_s: float  # how long the control module had been on
 
 
 class TakenSweep(NamedTuple):
@@ -48,7 +49,7 @@ class TakenSweep(NamedTuple):
 class Motion(NamedTuple):
     """All that a recording says of where its robot was, by time."""
 
-    levels: NDArray[np.float64]  # (n, 5) depth, roll, pitch, pan and tilt pulses
+    levels: NDArray[np.float64]  # (n, 6) depth, roll, pitch, pan and tilt pulses, seconds that the module has been on
     levels_ns: NDArray[np.int64]  # (n,) rising
     places: NDArray[np.float64]  # (m, 5) x, y, yaw (degrees, without jumps), sigma of the place and of the yaw
     places_ns: NDArray[np.int64]
@@ -58,8 +59,8 @@ class Motion(NamedTuple):
         values = _at(self.levels, self.levels_ns, t_ns)
         if values is None:
             return None
-        depth, roll, pitch, pan, tilt = values
-        return Level(depth, roll, pitch, (pan, tilt))
+        depth, roll, pitch, pan, tilt, on_s = values
+        return Level(depth, roll, pitch, (pan, tilt), on_s)
 
     def whereabouts(self, t_ns: int) -> Whereabouts | None:
         """Of a robot that swims; None: it did not know, or is moored."""
@@ -87,13 +88,15 @@ def told(box: BlackBox) -> Told:
     places: list[tuple[int, tuple[float, ...]]] = []
     steps: dict[int, int] = {}
     views: dict[int, WholeView] = {}
+    attitude = AttitudeLog()
     with suspecting(box.path):
         for record in read(box.path):
             if record.channel == STEP_IN.name:
                 inputs = decode(record.data, Inputs, STEP_BYTES)
                 for one in inputs.telemetry:
-                    pan, tilt = one.servos_us[:2]
-                    levels.append((one.t_ns - LATE_NS, (one.depth_m, one.roll_deg, one.pitch_deg, pan, tilt)))
+                    attitude.add(one)
+                    values = one.depth_m, one.roll_deg, one.pitch_deg, *one.servos_us[:2], attitude.on_s(one.t_ns)
+                    levels.append((one.t_ns - LATE_NS, values))
                 for peaks in inputs.blocks or ():
                     if peaks.sweep in steps:
                         views[peaks.t_ns] = WholeView(peaks.sweep, steps[peaks.sweep])
@@ -104,9 +107,9 @@ def told(box: BlackBox) -> Told:
                     places.append((state.sent_ns, msgspec.structs.astuple(state.whereabouts)))
                 if plan is not None and plan.block_px:
                     steps[plan.sweep] = len(plan.focus) - 1  # the lens comes from the first, where no frame is taken
-    known, known_ns = _table(places)
+    known, known_ns = _table(places, 5)
     known[:, 2] = np.degrees(np.unwrap(np.radians(known[:, 2])))
-    table, table_ns = _table(levels)
+    table, table_ns = _table(levels, 6)
     return Told(Motion(table, table_ns, known, known_ns), views)
 
 
@@ -142,10 +145,10 @@ def rising(recent: Sequence[tuple[Picture, Sighting]], steps: int) -> list[tuple
     return found if len(known) == steps and rises else []
 
 
-def _table(rows: list[tuple[int, tuple[float, ...]]]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+def _table(rows: list[tuple[int, tuple[float, ...]]], columns: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     rows = sorted(dict(rows).items())
     times = np.array([t_ns for t_ns, _ in rows], np.int64)
-    return np.array([values for _, values in rows], float).reshape(len(rows), 5), times
+    return np.array([values for _, values in rows], float).reshape(len(rows), columns), times
 
 
 def _at(table: NDArray[np.float64], times_ns: NDArray[np.int64], t_ns: int) -> list[float] | None:

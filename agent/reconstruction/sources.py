@@ -21,12 +21,13 @@ import msgspec
 import numpy as np
 from msgspec import Meta
 
+from agent.core.attitude import zeros
 from agent.core.codec import as_text
 from agent.core.config import ConfigError, Pose, check_depth, convert, inside, read_file
 from agent.core.ranging.camera_model import CameraFit, at_lens_position, camera_pose, gimbal_deg
 from agent.perception.clarity import gradient_energy, luminance
 from agent.process.command import Progress, Show
-from agent.reconstruction.refine_poses import Sigmas, covariance_of
+from agent.reconstruction.refine_poses import DEPTH_M, LEVEL_RAD, Sigmas, covariance_of
 from agent.reconstruction.views import (
     Camera,
     Floats,
@@ -213,11 +214,12 @@ def _pose(box: BlackBox, moved: Motion, t_ns: int) -> CameraPose | None:
     surface_m = fleet.tank.surface_m
     eye = camera_pose(pose, fleet.body, level.depth_m, level.roll_deg, level.pitch_deg, pan, tilt, surface_m)
     rotation, position = np.array(eye.rotation), np.array(eye.position_m)
-    arm = position - np.array(eye.body_m)
+    arm, by_pressure = position - np.array(eye.body_m), zeros(fleet.budget, level.on_s)
+    level_rad, depth_m = max(LEVEL_RAD, by_pressure.tilt_rad), max(DEPTH_M, by_pressure.height_m)
     return CameraPose(
         rotation,
         position,
-        covariance_of(rotation, arm, Sigmas(*always, math.radians(camera.noise_deg))),
+        covariance_of(rotation, arm, Sigmas(*always, math.radians(camera.noise_deg), level_rad, depth_m)),
         steady() + covariance_of(rotation, arm, Sigmas(*now, gimbal_rad=0.0, level_rad=0.0, depth_m=0.0)),
         math.asin(max(-1.0, min(1.0, float(rotation[2, 2])))),
     )
