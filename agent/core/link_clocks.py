@@ -148,7 +148,8 @@ def _meet(a: RoundTrip, b: RoundTrip) -> bool:
 #
 # Each copy of a sample tells an offset of its own: its time of arrival less its age less its origin's stamp. Delays
 # that are unaccounted for make it too large, a relay that lies may make it anything. So the first copy that comes from
-# the origin itself decides, else the first relay; from then on the offset moves no faster than clocks drift.
+# the origin itself decides, else the first relay; from then on the offset moves no faster than clocks drift. A clock
+# that was set, or is slewed faster than that, is another clock: its own robot insists on it, and is believed.
 
 DRIFT = 1e-3  # the offset falls no faster than this, as shorter delays are found; no quartz is as bad
 RISE = 1e-4  # it rises so fast where all delays seem to have become longer: the worst drift of two quartzes
@@ -168,10 +169,16 @@ class OriginClocks(Revertible):
 
     def __init__(self) -> None:
         self._offsets: dict[str, Offset] = {}
+        self._missed: dict[str, int] = {}  # by each origin itself, in a row: what cannot have this offset
 
     def offset(self, origin: str, said_ns: int, bound_ns: int, direct: bool, now_ns: int) -> Offset:
         """The offset to count with, after a copy that says `said_ns`, to within `bound_ns`, came."""
         old = self._offsets.get(origin)
+        if old is not None and direct and old.direct:
+            missed = abs(said_ns - old.offset_ns) > bound_ns + old.bound_ns + AGREE_NS
+            self._missed[origin] = self._missed.get(origin, 0) + 1 if missed else 0
+            if self._missed[origin] >= INSISTS:
+                self._missed[origin], old = 0, None
         if old is None or (direct and not old.direct) or (direct == old.direct and _nearer(said_ns, bound_ns, old)):
             new = Offset(said_ns, bound_ns, now_ns, direct)
         else:

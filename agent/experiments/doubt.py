@@ -142,7 +142,7 @@ def dive(case: Case, seconds: float, seed: int) -> Iterator[Belief]:
         for i, state in enumerate(states) if step % SAY_STEPS == 0 else ():
             for neighbour in fleet.robot[names[i]].neighbours:
                 sent += 1
-                estimate = state.say(neighbour, step, clocks[i](ns))
+                estimate = state.say(neighbour, clocks[i](ns))
                 j = names.index(neighbour)
                 if random.random() >= case.loss:
                     at_ns = ns + round(case.delay_s(i, j, s) * 1e9)

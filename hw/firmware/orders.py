@@ -62,7 +62,7 @@ class Orders:
         self._control = control
         self._line = line
         self.saved = []  # values of the parameters in flash
-        self.tared = None  # when, if not in this boot: how many of what the clock counts a second has, and the clock
+        self.tared = None  # when: how many of what the clock counts a second has, and the clock; None: nobody knows
         self._results = []  # (kind, fields, result) of the last orders
         self._tare = None  # collects, while one runs
         self._tare_fields = None  # of the order that began it
@@ -158,7 +158,7 @@ class Orders:
         return _OK
 
     def _tare_is_old(self):
-        """Made before this boot and not within 12 h, as far as anybody knows.
+        """Not made within 12 h, as far as anybody knows.
 
         The board has no calendar. The milliseconds of hosts of versions 1 and 2 come round after 49 days, the tenths of
         a second of version 3 after 13 years; the one says nothing of the other. One from a little ahead of the host's
@@ -252,8 +252,8 @@ class Orders:
         tare_mPa = flash.save_tare(self._hal, medians_mPa, depth_m * plane.pa_per_m, time, self._line.host_per_s())
         if tare_mPa is None:
             return False
-        plane.tare_mPa = tare_mPa
-        self.tared = None
+        plane.set_tare(tare_mPa)
+        self.tared = None if time is None else (self._line.host_per_s(), time)
         return True
 
     def _remember(self, kind, fields, result):

@@ -19,6 +19,11 @@ _STUCK_AFTER_US = const(5000000)  # the same reading is a fault only while the o
 _MOVING_US = const(1000000)
 _PARITY_LIMIT_100nm = const(200000)
 _PARITY_FOR_US = const(500000)
+# Zeros drift as sensors warm up, by millimetres in ten minutes. Parity that grows so slowly is followed and is no
+# fault; one that leaps stays, for it is not within _DRIFTS_100nm of what was followed.
+_DRIFTS_100nm = const(50000)
+_DRIFT_CYCLES = const(2048)  # time constant, 20 s: at 3 mm a minute it is a millimetre behind
+_MOST_DRIFT = const(614400000)  # 30 mm, times _DRIFT_CYCLES
 _STANDARD_AIR_mPa = const(101325000)
 # Gravity, where there is an accelerometer: what it says of the robot's axis, and how far it and the sensors may differ.
 _UPSIDE_DOWN_MG = const(-300)
@@ -40,7 +45,8 @@ class Plane:
         self.tare_mPa = None  # absolute pressure of each sensor in air, before the dive
         self.zeta_100nm = [0] * 4  # depth of each sensor below its tare
         self.depth_100nm = self.roll_100nrad = self.pitch_100nrad = 0
-        self.parity_100nm = 0  # zeta1 - zeta2 + zeta3 - zeta4, 0 for a plane; smoothed over 0.2 s
+        self.parity_100nm = 0  # zeta1 - zeta2 + zeta3 - zeta4 beyond drift, 0 for a plane; smoothed over 0.2 s
+        self._drift = 0  # of it, in 100 nm / _DRIFT_CYCLES
         self.bad = 0  # bit mask of sensors not believed
         self.bad_count = 0
         self.over = False  # it lies on its side, or worse
@@ -60,6 +66,11 @@ class Plane:
         self.pa_per_m = pa_per_m
         self._over = int((1e4 / pa_per_m - 1.0) * 65536.0 + 0.5)  # 100 nm that a mPa is more than one, in 1/65536
 
+    def set_tare(self, tare_mPa):
+        """New zeros, from which nothing has drifted yet."""
+        self.tare_mPa = tare_mPa
+        self._drift = 0
+
     def step(self, raw_mPa, answered, dt_us):
         """Take absolute pressures; `answered` is the bit mask of sensors that were there."""
         self._measure(raw_mPa)
@@ -73,8 +84,9 @@ class Plane:
         z = self.zeta_100nm
         if self.bad_count == 1:
             for k in range(4):
-                if self.bad >> k & 1:  # neighbours minus the opposite corner
-                    z[k] = z[(k + 1) & 3] + z[(k + 3) & 3] - z[(k + 2) & 3]
+                if self.bad >> k & 1:  # neighbours minus the opposite corner, with what they have drifted
+                    drift = self._drift // _DRIFT_CYCLES
+                    z[k] = z[(k + 1) & 3] + z[(k + 3) & 3] - z[(k + 2) & 3] + (-drift if k & 1 else drift)
         self._tilt(dt_us)
 
     def feel(self, up_mg, level_mg):
@@ -97,8 +109,10 @@ class Plane:
         """How the plane through the four depths lies."""
         z1, z2, z3, z4 = self.zeta_100nm
         parity = self.parity_100nm
-        parity += (z1 - z2 + z3 - z4 - parity) // 20
+        parity += (z1 - z2 + z3 - z4 - self._drift // _DRIFT_CYCLES - parity) // 20
         self.parity_100nm = parity
+        if -_DRIFTS_100nm < parity < _DRIFTS_100nm:
+            self._drift = max(-_MOST_DRIFT, min(_MOST_DRIFT, self._drift + parity))
         if -_PARITY_LIMIT_100nm <= parity <= _PARITY_LIMIT_100nm:
             self._parity_us = 0
             self.disagree = False

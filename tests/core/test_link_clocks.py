@@ -2,7 +2,7 @@
 
 import pytest
 
-from agent.core.link_clocks import DRIFT, INSISTS, LinkClock, OriginClocks, Transit, Way
+from agent.core.link_clocks import AGREE_NS, DRIFT, INSISTS, LinkClock, OriginClocks, Transit, Way
 
 SECOND_NS = 10**9
 HOUR_NS = 3600 * SECOND_NS
@@ -59,6 +59,17 @@ def test_a_relay_that_lies_about_ages_moves_a_sample_by_no_more_than_clocks_drif
         offset_ns = clocks.offset("r1", 500 - 5 * SECOND_NS, 0, direct=False, now_ns=k * SECOND_NS).offset_ns
     assert offset_ns >= 500 - 10 * DRIFT * SECOND_NS
     assert clocks.offset("r1", 500 + 5 * SECOND_NS, 0, direct=False, now_ns=11 * SECOND_NS).offset_ns < 500
+
+
+@pytest.mark.parametrize("slewed_ns", [360 * 1_000_000, -360 * 1_000_000])
+def test_an_origin_whose_clock_is_slewed_is_followed(slewed_ns) -> None:
+    """Within 20 s, as services that set clocks do; each round trip leaves 5 ms unknown."""
+    clocks, bound_ns = OriginClocks(), 5_000_000
+    for k in range(300):  # ten messages a second
+        true_ns = round(slewed_ns * min(k / 200, 1.0))
+        told = clocks.offset("r1", true_ns, bound_ns, direct=True, now_ns=k * SECOND_NS // 10)
+        assert abs(told.offset_ns - true_ns) < AGREE_NS + 20_000_000, k
+    assert abs(told.offset_ns - slewed_ns) < AGREE_NS + 2 * bound_ns
 
 
 def test_the_own_mouth_corrects_what_a_relay_said_first() -> None:

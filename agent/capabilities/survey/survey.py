@@ -176,7 +176,7 @@ Event = Literal["far", "near", "known", "there", "swept", "ended", "over"]
 PHASES: dict[tuple[Phase, Event], Phase] = {
     ("choose", "far"): "go",  # a view is chosen that has to be gone to
     ("choose", "near"): "look",  # one that is seen from here
-    ("choose", "known"): "done",  # all is known that is asked for
+    ("choose", "known"): "done",  # all is known that is asked for, or that it can make known
     ("go", "there"): "look",
     ("look", "swept"): "sweep",  # a sweep begins
     ("sweep", "ended"): "judge",  # its blocks are in
@@ -233,6 +233,11 @@ class Surveyor(Revertible):
         return self.known.share() >= self._settings.share
 
     @property
+    def full(self) -> bool:
+        """It has made as many keyframes as it can; started again, it may make as many more."""
+        return self._number >= MOST_NUMBER
+
+    @property
     def done(self) -> bool:
         """It looks no more."""
         return self.phase == "done"
@@ -274,8 +279,11 @@ class Surveyor(Revertible):
         if self._k < CANDIDATES:
             return
         self._k, self._draw, self._ahead = 0, self._draw + 1, None
-        if self._best is None or self.over or self._number >= MOST_NUMBER:
-            self._begin("known" if self.over else "over", now_ns + (0 if self.over else REST_NS))
+        if self.over or self.full:
+            self._begin("known", now_ns)
+            return
+        if self._best is None:
+            self._begin("over", now_ns + REST_NS)
             return
         self.chosen = self._best.candidate
         self._begin("far" if self._swims else "near", now_ns)
@@ -500,7 +508,11 @@ class Survey(Capability):
         surveyor.choose(pose, claims, self._others(situation), now_ns)
         surveyor.go(pose, rests, now_ns)
         if surveyor.done:
-            self._log.note("info", "the survey is over: all that was asked for is known", now_ns)
+            if surveyor.over:
+                self._log.note("info", "the survey is over: all that was asked for is known", now_ns)
+            else:
+                text = f"the survey ends early: {MOST_NUMBER} keyframes are made; start the agent again for more"
+                self._log.note("warning", text, now_ns)
             return None
         if surveyor.phase != "look" or situation.level is None:
             return CameraAct()

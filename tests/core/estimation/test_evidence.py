@@ -112,6 +112,25 @@ def test_a_partition_and_a_restart_leave_no_trace() -> None:
         assert ours.cov_m2 == pytest.approx(theirs.cov_m2, rel=1e-9), "no sample counted twice, none lost"
 
 
+@pytest.mark.parametrize("alone", [False, True])
+def test_a_start_with_the_clock_set_back_outlives_the_later_one(alone) -> None:
+    """No robot has keys. r01 stood 60 mm off, is put right, and its computer begins before the start that was wrong."""
+    net, random = Net(ring(3), signed=False), Random(3)
+    see = NAMES[1:2] if alone else NAMES[:3]
+    for t in range(60):
+        if t in (0, 30):
+            net.start[NAMES[1]] = 20 if t == 0 else 5
+            net.boot(NAMES[1])
+        priors = samples(see, net.now_ns, random)
+        if t < 30:
+            x, y, z = priors[NAMES[1]].x_m
+            priors[NAMES[1]] = priors[NAMES[1]]._replace(x_m=(x + 0.06, y, z))
+        updates = net.tick(priors)
+    for name in net.links:
+        assert abs(net.robots[name].posterior.x_m[0] - 0.7) < 0.01
+        assert updates[name].explain.weights[NAMES[1]] > 0.15
+
+
 def test_what_stopped_changing_still_reaches_everybody_and_is_not_sent_for_ever() -> None:
     net = Net(line(3))
     net.cut = {("r00", "r01")}

@@ -168,8 +168,9 @@ class BareBoard:
         self.say(wire.HELLO, wire.PROTOCOL, wire.schema_crc(), 1)
         self.tick()
 
-    def set_point(self, depth_m: float = 0.3) -> None:
-        fields = (round(depth_m * 1e4), 0, 0, 0, 0, 0, 1500, 1500, 1500, 1500, 0, wire.VALID_ALL, 500, 7)
+    def set_point(self, depth_m: float = 0.3, host_ds: int = 7) -> None:
+        """host_ds: the host's clock, tenths of a second."""
+        fields = (round(depth_m * 1e4), 0, 0, 0, 0, 0, 1500, 1500, 1500, 1500, 0, wire.VALID_ALL, 500, host_ds)
         self.say(wire.SETPOINT, *fields)
 
     def arm(self, req_id: int = 1) -> None:
@@ -181,9 +182,9 @@ class BareBoard:
         ((_, fields),) = self.answers(wire.ARM, req_id, self.boot_id)
         assert fields[2] == wire.OK, self.heard(wire.EVENT)
 
-    def hold(self, cycles: int) -> None:
+    def hold(self, cycles: int, host_ds: int = 7) -> None:
         """Tick with a set-point every 50 ms, as a host sends them."""
         for i in range(cycles):
             if i % 5 == 0:
-                self.set_point()
+                self.set_point(host_ds=host_ds)
             self.tick()

@@ -260,7 +260,22 @@ def test_a_tare_that_was_timed_in_another_unit_is_old(made, version, old):
     assert refusals == ({1 << wire.ARM_CHECKS.index("tare older than 12 h")} if old else set())
 
 
-def test_a_tare_of_this_boot_is_never_old_and_carries_its_time(desk):
+@pytest.mark.parametrize(("hours", "old"), [(11.9, False), (12.1, True), (72.0, True)])
+def test_a_tare_of_this_boot_ages_too(hours, old):
+    board = BareBoard(BareHal({"wiring": failsafe.WIRING}))
+    board.hal.pressure_pa = [AIR_PA] * 4
+    board.greet()
+    board.hold(10)
+    board.say(wire.TARE, 1, board.boot_id, 0)
+    board.hold(320)
+    assert board.control.plane.tare_mPa is not None
+    later_ds = 7 + round(hours * 36e3)
+    board.hold(10, later_ds)
+    ((_, fields),) = board.answers(wire.ARM, 2, board.boot_id)
+    assert fields[2] == (wire.REFUSED if old else wire.OK)
+
+
+def test_a_tare_carries_its_time(desk):
     desk.pressure_pa = [AIR_PA + 0.3 * wire.PA_PER_M] * 4
     boot_id = desk.greet()
     desk.set_point()
