@@ -71,7 +71,8 @@ def clock_finding(name: str, measured: Offset | None, late_ns: int) -> Finding |
         return None
     where = "ahead of" if ahead_s > 0 else "behind"
     text = f"its clock is {_long(abs(ahead_s))} {where} this computer's: certificates are judged by it, and recordings"
-    return Finding("warning", name, f"{text} lie side by side by it; set both by one server (chrony, or timedatectl)")
+    cure = "set both by one server (chrony, or timedatectl), then start it again"
+    return Finding("warning", name, f"{text} lie side by side by it; {cure}")
 
 
 def _long(seconds: float) -> str:
