@@ -19,9 +19,9 @@ test: .venv/ready-test
 linked: .venv/ready
 	$(BIN)/python -m hw.compiled
 
-# Byte code of all tests, which else each worker makes for itself. What cannot be collected is told by the suite.
-collected: .venv/ready-test
-	$(BIN)/pytest --collect-only --quiet > /dev/null || true
+# Byte code of all tests, which else each worker makes for itself. Once: of the few that change later they may. What cannot
+# be collected is told by the suite.
+collected: .venv/collected
 
 # A worker more than cores (tests/conftest.py); above four, they would wait for the one that has tests/network.
 suite: .venv/ready-test
@@ -68,6 +68,10 @@ format: .venv/ready-test
 .venv/ready-test: .venv/bin/python pyproject.toml constraints.txt
 	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --editable '.[test,enhance]'
 	touch .venv/ready $@
+
+.venv/collected: .venv/ready-test
+	$(BIN)/pytest --collect-only --quiet > /dev/null || true
+	touch $@
 
 .venv/ready-docs: .venv/bin/python pyproject.toml constraints.txt
 	PIP_CONSTRAINT=constraints.txt $(BIN)/python -m pip install --quiet --editable '.[docs]'

@@ -3,6 +3,7 @@
 Without -n tests run in one process, in the order in which they stand.
 """
 
+import gc
 import os
 from collections import Counter
 from collections.abc import Generator
@@ -18,6 +19,17 @@ def pytest_configure(config: pytest.Config) -> None:
     """Tests, and what they start, compute in one thread: their small arrays make several wait more than they work."""
     for name in THREADS:
         os.environ.setdefault(name, "1")
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_collection() -> Generator[None, object, object]:
+    """What is imported and collected stays: nothing of it is garbage, neither now nor whenever it is looked for."""
+    gc.disable()
+    try:
+        return (yield)
+    finally:
+        gc.freeze()
+        gc.enable()
 
 
 @pytest.hookimpl(optionalhook=True, wrapper=True)
