@@ -40,12 +40,13 @@ def timed_waits(text: str) -> list[int]:
     for node in ast.walk(ast.parse(text)):
         if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
             continue
-        owner, name = ast.unparse(node.func.value), node.func.attr
+        name = node.func.attr
+        if name not in ("select", "settimeout", "sleep", "wait_for", "poll", "wait", "join"):
+            continue
+        owner = ast.unparse(node.func.value)
         if owner in OURS or not (node.args or node.keywords):
             continue
-        if name in ("select", "settimeout", "sleep", "wait_for", "poll", "wait") or (
-            name == "join" and owner.endswith("thread")
-        ):
+        if name != "join" or owner.endswith("thread"):
             lines.append(node.lineno)
     return lines
 
