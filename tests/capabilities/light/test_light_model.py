@@ -78,7 +78,7 @@ def test_the_veils_integral_has_converged(place: tuple[float, float, float], mon
 def test_one_order_of_scattering_is_monte_carlos(place: tuple[float, float, float]) -> None:
     ours = model.single_veil(place[0], RADIUS_M, *place[1:], HARBOUR, Beam(intensity_w_sr=1.0), lost=1.0)[1]
     drawn = scattered(
-        beside(place[0], RADIUS_M, *place[1:]), Medium(0.37, 1.82), orders=1, straight_rad=1e-6, error=0.003
+        beside(place[0], RADIUS_M, *place[1:]), Medium(0.37, 1.82), orders=1, straight_rad=1e-6, error=0.005
     )
     assert ours == pytest.approx(drawn.total, rel=0.02)
 
