@@ -532,12 +532,12 @@ def test_places_of_one_sweep_share_their_tape_behind_a_port_too() -> None:
                 places.append(Place(number, px, 0.0))
         on_axis, _ = without_field(rows, places, CAMERA)
         fit = fit_focus(on_axis)
-        assert len(leave_one_out(on_axis)) == 8
         for u_m in at_m:
             rho = 102 + 136 / u_m
             off_m = fit.u_inf_m + fit.b_m / (rho - fit.rho0) - u_m
             pulls.append(off_m / math.sqrt(range_variance(fit, rho, 0.0)[1]))
     assert 0.5 < np.sqrt(np.mean(np.square(pulls))) < 1.4
+    assert len(leave_one_out(on_axis)) == 8
     few = [(row, place) for row, place in zip(rows, places, strict=True) if place.sweep < 5]
     with pytest.raises(CalibrationRefused, match="5 distances have a peak"):
         without_field([row for row, _ in few], [place for _, place in few], CAMERA)
