@@ -167,8 +167,8 @@ class Placement(NamedTuple):
     on_s: float  # how long its control module had been on
 
 
-def ball_measurements(seed: int, count: int, sensor: str) -> Iterator[Row]:
-    """One robot, calibrated on its bench, then at `count` places around its ball.
+def ball_measurements(seed: int, count: int, sensor: str, known: Calibration | None = None) -> Iterator[Row]:
+    """One robot, calibrated on its bench unless its calibration is `known`, then at `count` places around its ball.
 
     Yields a row for each place: what `errors` says of each of the cues. Raises CalibrationRefused.
     """
@@ -177,7 +177,7 @@ def ball_measurements(seed: int, count: int, sensor: str) -> Iterator[Row]:
     fleet = msgspec.structs.replace(fleet, twin=msgspec.structs.replace(fleet.twin, seed=seed))
     name, target = next(iter(fleet.target.items()))
     robot = PosedRobot(fleet, ROBOT, sensor)
-    known = robot.calibrate()
+    known = known or robot.calibrate()
     assert target.radius_m is not None  # a ball
     radius_m = target.radius_m + float(rng.normal(0.0, target.radius_sigma_m))
     near = [float(rng.uniform(*CORNER_M)) for _ in range(2)]  # a corner: the rest of the tank is as far as can be

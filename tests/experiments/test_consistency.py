@@ -13,18 +13,6 @@ from tests.bench.bench_consistency import CUES, summary
 BALL_M = (0.3, 0.3, 0.07)
 
 
-@pytest.mark.slow
-def test_every_cue_finds_the_ball_and_says_how_well():
-    measured = list(measurements.ball_measurements(7, 1, "imx519_640"))
-    assert len(measured) == 1
-    for one in measured:
-        for cue in CUES:
-            assert one[cue]["error_mm"] < 25 and 1 < one[cue]["sigma_mm"] < 15
-            assert one[cue]["nees"] < 25
-        assert one["size"]["range_sigma_mm"] < one["focus"]["range_sigma_mm"]
-        assert one["both"]["range_sigma_mm"] <= one["size"]["range_sigma_mm"]
-
-
 def test_figures_are_of_places_that_give_a_measurement():
     def place(distance_m, nees, range_mm):
         return {
