@@ -12,7 +12,7 @@ import pytest
 
 NETWORK, DIVES = "tests/network/", "tests/network/dives/"
 NICE = 5  # a third of the other's share where both want more than there is
-THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # of torch and of numpy; read when they are loaded
+THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "OPENCV_FOR_THREADS_NUM")  # torch, numpy, OpenCV; read at import
 
 
 def pytest_configure(config: pytest.Config) -> None:
