@@ -61,12 +61,14 @@ class Clone:
     def __init__(self, path: Path) -> None:
         self.path = path
         self._printed: dict[str, str] = {}
+        halves = shutil.ignore_patterns("*.pyc.*", "*.tmp.*")  # of byte code and kernels that somebody is writing
         for package in ("agent", "hw", "replay", "router_config"):
-            shutil.copytree(ROOT / package, path / package, ignore=shutil.ignore_patterns("__pycache__"))
+            shutil.copytree(ROOT / package, path / package, ignore=halves)
         (path / "tests").symlink_to(ROOT / "tests")
 
     def run(self, *words: str) -> str:
-        """What a program prints, errors too."""
+        """What a program prints, errors too. It reads the byte code that was copied; a file that is changed back within
+        a second would be taken for that of before."""
         environment = {**os.environ, "PYTHONPATH": str(self.path), "PYTHONDONTWRITEBYTECODE": "1", "COLUMNS": "400"}
         about = {"stdout": subprocess.PIPE, "stderr": subprocess.STDOUT, "text": True}
         done = subprocess.run([sys.executable, *words], cwd=self.path, env=environment, timeout=120, **about)
