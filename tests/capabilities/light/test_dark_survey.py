@@ -34,7 +34,7 @@ class Watched(DarkSurvey):
 @pytest.fixture(scope="module")
 def dive() -> Watched:
     world = Watched(1)
-    world.run(26.0)
+    world.run(22.0)
     return world
 
 

@@ -167,7 +167,7 @@ def test_there_is_no_odometry_without_points(pairs, why) -> None:
 SEEDS = range(6)
 
 
-@pytest.mark.parametrize("share", [0.0, 0.4, 0.6])
+@pytest.mark.parametrize("share", [0.0, 0.6])
 def test_points_on_a_thing_lead_no_robot_astray(share) -> None:
     runs = np.array([without_tags(seed, share, 3.0, push_n=1.0) for seed in SEEDS])
     assert np.sqrt(np.mean(np.square(runs[..., 0]))) < 0.006, "m"
