@@ -41,7 +41,6 @@ MISTAKES = [
     (["experiment", "peak-shift", "--only", "sea"], "--only sea: choose from air, tap, pool, coastal, turbid"),
     (["experiment", "depth", "--set", "colour=3"], "--set colour=3: write NAME=VALUE, NAME one of repeats, views"),
     (["experiment", "tag-fix", "--set", "places=many"], "experiment tag-fix: Expected `int`, got `str`"),
-    (["experiment", "demo", "--jobs", "2"], "runs alone, for it times the machine; leave --jobs, --scheduler out"),
     (["experiment", "list", "--seeds", "3"], "experiment list: takes no --seeds; leave it out"),
     (["experiment", "depth", "runs"], "experiment depth: takes no DIR; leave it out"),
     (["experiment", "docs", "nowhere"], "there is no folder docs here; run it in a checkout of the repository"),
