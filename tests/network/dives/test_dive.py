@@ -159,6 +159,7 @@ class Again(NamedTuple):
 
     fleet: Fleet
     path: Path
+    clock: RunClock
     shown: ShownStates
     twin: subprocess.Popen[bytes]
     agents: dict[str, subprocess.Popen[bytes]]
@@ -191,9 +192,10 @@ def again(run: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Again
         until(lambda: check() or (folder / "ready").exists(), HANGS_S)
         for name in ROBOTS:
             start(name, "agent", str(path), "--robot", name, "--out", str(out), "--arm")
-        with Observer(fleet, RunClock(clock_path(fleet)).now_ns, (STATE,)) as observer:
+        clock = RunClock(clock_path(fleet))
+        with Observer(fleet, clock.now_ns, (STATE,)) as observer:
             agents = {name: processes[name] for name in ROBOTS}
-            yield Again(fleet, path, ShownStates(observer, ROBOTS, check), processes["twin"], agents)
+            yield Again(fleet, path, clock, ShownStates(observer, ROBOTS, check), processes["twin"], agents)
 
 
 def test_a_thing_in_a_box_is_found_measured_and_told(run: Path, again: Again) -> None:
@@ -215,11 +217,11 @@ def test_a_thing_in_a_box_is_found_measured_and_told(run: Path, again: Again) ->
 
 def test_a_killed_twin_is_noticed_and_the_agents_talk_on(again: Again) -> None:
     """The death is the machine's; when it is noticed counts in run time, which then goes on at the wall's pace."""
-    shown, clock = again.shown, RunClock(clock_path(again.fleet))
+    shown = again.shown
     shown.until("armed and well", lambda s: s.armed and s.faults == (), HANGS_S)
     again.twin.kill()
     again.twin.wait()
-    killed_ns = clock.now_ns()
+    killed_ns = again.clock.now_ns()
     both = {"no frames", "no telemetry"}
     shown.until("faults", lambda s: both <= set(s.faults), HANGS_S)
     for name in again.agents:
