@@ -46,10 +46,8 @@ from tests.waiting import until
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(1200)]
 AUCAMP = [sys.executable, "-m", "agent"]
 HANGS_S = 400.0  # of the wall: a demo takes a minute of two idle cores
-ROBOTS, DIVES_S = (
-    ("r1", "r2"),
-    "25",
-)  # of the dive: from five iterations after the last view on, errors stay as they are
+ROBOTS = ("r1", "r2")
+DIVES_S = "25"  # of the dive: from five iterations after the last view on, errors stay as they are
 
 
 @pytest.fixture(scope="module")
