@@ -26,14 +26,25 @@ from functools import partial
 
 from msgspec.structs import replace
 
-from agent.core.estimation.evidence_table import Bounds, Key, Table, entry_fault, mark
+from agent.core.estimation.evidence_table import NOTHING_M2, Bounds, Key, Table, entry_fault, floored, mark
 from agent.core.estimation.fuse import NONE, Fused, Shared, fuse, parts, stretch
 from agent.core.estimation.interface import Bearing, EstimateCache, Posterior, Prior, Update, Word
 from agent.core.estimation.modes import Conclusion, DeliveryLedger, Links, Me, Mode, outliving
 from agent.core.estimation.motion import Innovation, Motion
 from agent.core.estimation.moving_target import WINDOW, MovingTarget, unseen
 from agent.core.estimation.track import ROLLING, Dynamics, outer
-from agent.core.linear_algebra import ZERO, plus, times, trace
+from agent.core.linear_algebra import (
+    ZERO,
+    apply,
+    difference,
+    distance2,
+    inverse,
+    minus,
+    plus,
+    semidefinite,
+    times,
+    trace,
+)
 from agent.core.link_clocks import Way
 from agent.core.messages import Entry, Epoch, Estimate, Explain, Gossip, Holding, Proposal, Vector
 from agent.core.step_transaction import Revertible
@@ -166,14 +177,12 @@ class Evidence(Revertible):
         return self._authority.fault(src, proposal.proposer, proposal.signature, says, now_ns)
 
     def tick(self, prior: Prior | Bearing | None, cache: EstimateCache, now_ns: int) -> Update:
-        self.valid, innovation = prior is not None, None
+        self.valid = prior is not None
         self._pass(now_ns)
         self._outlive(now_ns)
         if prior is not None:
             self._measured += 1
             innovation = self._mode.add(self._measured, prior, now_ns)
-            if isinstance(prior, Prior) and not self.epoch.moving:
-                innovation = self._motion.innovation(prior)
             self._recent.append((self._measured, prior))
             self._notice(prior, innovation, now_ns)
         concluded = self._mode.conclude(self.valid, self._believed, now_ns)
@@ -187,8 +196,7 @@ class Evidence(Revertible):
         self._step_m = self._unsettled(now_ns)
         self.t += 1
         used = tuple(name for name, _ in cache.usable(now_ns, self._validity_ns))
-        nis = concluded.explain.nis if innovation is None else innovation.nis
-        explain = replace(concluded.explain, ages_s=cache.ages_s(now_ns), moved_m=self._step_m, nis=nis)
+        explain = replace(concluded.explain, ages_s=cache.ages_s(now_ns), moved_m=self._step_m)
         return Update(self.t, concluded.rule, concluded.alpha, used, explain)
 
     def _notice(self, prior: Prior | Bearing, innovation: Innovation | None, now_ns: int) -> None:
@@ -313,13 +321,25 @@ class StaticTarget(Revertible):
         self.outlived: int | None = None  # an incarnation of ours that is newer than the one we write under
         self._by_others: tuple[int, Posterior | None] = (0, None)  # and at which change of the table; None at first
         self._gain = 0.0  # share of the newest own sample in the own sum
+        self._nis: float | None = None
 
-    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> None:
-        """Take in an own sample. What to expect of it, Motion knows."""
+    def add(self, number: int, prior: Prior | Bearing, now_ns: int) -> Innovation | None:
+        """Take in an own sample. Returns its innovation against the own samples before it."""
+        before = self._table.entries.get(self._me.key)
         information = self._table.measure(self._me.key, prior)
         self._gain = trace(information) / trace(self._table.entries[self._me.key].information)
         self._changed(self._me.key, "")
         self._news_ns[self._me.key[0]] = now_ns
+        random = None if before is None else inverse(before.information)
+        self._nis = None
+        if before is None or random is None or not isinstance(prior, Prior):
+            return None
+        step, covariance = difference(prior.x_m, apply(random, before.vector)), plus(random, floored(prior.random_m2))
+        # By so much at most what is wrong of this robot is another by now: it never falls as sensors warm up.
+        grown = minus(prior.systematic_m2, before.systematic_m2)
+        covariance = plus(covariance, grown) if semidefinite(grown, NOTHING_M2) else covariance
+        self._nis = distance2(covariance, step)
+        return Innovation(step, covariance, self._nis)
 
     def hear(self, src: str, gossip: Gossip, arrived_ns: int, way: Way | None) -> list[str]:
         faults, ledger, table = [], self._ledgers[src], self._table
@@ -427,6 +447,7 @@ class StaticTarget(Revertible):
             votes=fused.votes,
             doubted={name: factor for name, factor in fused.factors.items() if factor < 1.0},
             epoch=self._epoch,
+            nis=self._nis if valid else None,
             sway_m=fused.sway_m,
             stretch=stretch([o for o in opinions if fused.factors[o.origin] > 0.0], self._me.shared),
             parts_m2=parts([o for o in opinions if o.origin in fused.shares], self._me.shared),

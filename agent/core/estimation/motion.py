@@ -73,17 +73,9 @@ class Motion(Revertible):
 
     # --- at rest ---
 
-    def innovation(self, prior: Prior) -> Innovation | None:
-        """Of the next own sample of a target at rest, by the own samples of the last minutes; None: there are none."""
-        old = _between(self._sums, -BEFORE)
-        if not old.samples:
-            return None
-        step_m, covariance_m2 = _apart(_sum([_own(prior)]), old, 1.0, 0.0)
-        return Innovation(step_m, covariance_m2, distance2(covariance_m2, step_m))
-
     def rested(self, prior: Prior) -> Moved | None:
         """Take note of one own sample of a target at rest; whether it rests no more."""
-        self._own.append(_own(prior))
+        self._own.append(Own(prior.t_ns, prior.x_m, floored(prior.random_m2), prior.drift_m2_s2))
         self._sums.append(_add(self._sums[-1], self._own[-1]))
         own, sums = tuple(self._own), tuple(self._sums)
         spans = [m for m in SPANS if len(own) - m >= FEWEST]
@@ -162,10 +154,6 @@ class Own(NamedTuple):
     x_m: Vector
     random_m2: Symmetric
     drift_m2_s2: Symmetric
-
-
-def _own(prior: Prior) -> Own:
-    return Own(prior.t_ns, prior.x_m, floored(prior.random_m2), prior.drift_m2_s2)
 
 
 class Sum(NamedTuple):
