@@ -112,6 +112,18 @@ def test_a_partition_and_a_restart_leave_no_trace() -> None:
         assert ours.cov_m2 == pytest.approx(theirs.cov_m2, rel=1e-9), "no sample counted twice, none lost"
 
 
+@pytest.mark.parametrize("said", [True, False])
+def test_samples_scatter_no_more_than_a_robot_says_that_it_drifts(said) -> None:
+    """By 17 mm in ten minutes; else the target creeps, and the newest samples are not of its mean."""
+    net, random, nis = Net(line(2)), Random(4), []
+    for t in range(600):
+        off_m = 0.02 * -math.expm1(-t / 300)
+        x, y, z = (random.gauss(at, 0.001) for at in (0.7, 0.5, 0.1 + off_m))
+        fine_m2, drift_m2 = (1e-6, 0.0, 0.0, 1e-6, 0.0, 1e-6), (*[0.0] * 5, off_m**2 if said else 0.0)
+        nis.append(net.tick({"r00": Prior((x, y, z), fine_m2, net.now_ns, drift_m2)})["r00"].explain.nis)
+    assert bool(np.mean(nis[300:]) < 5.0) is said
+
+
 @pytest.mark.parametrize("alone", [False, True])
 def test_a_start_with_the_clock_set_back_outlives_the_later_one(alone) -> None:
     """No robot has keys. r01 stood 60 mm off, is put right, and its computer begins before the start that was wrong."""

@@ -44,6 +44,15 @@ def test_a_creep_of_a_millimetre_a_second_is_noticed_within_a_minute() -> None:
     assert alarms(motion, creeping[:20])
 
 
+@pytest.mark.parametrize("said", [True, False])
+def test_a_drift_that_a_robot_says_of_itself_is_no_motion(said) -> None:
+    """Of its height by 40 um/s, the standard deviation of what it says."""
+    rng, motion = np.random.default_rng(6), Motion()
+    drifts = (*[0.0] * 5, 4e-5**2 if said else 0.0)
+    drifting = [samples(rng, 1, k, (0.0, 0.0, 4e-5 * k))[0]._replace(drift_m2_s2=drifts) for k in range(400)]
+    assert bool(alarms(motion, drifting)) is not said
+
+
 def test_samples_that_are_odd_one_by_one_are_no_motion() -> None:
     rng, motion = np.random.default_rng(4), Motion()
     odd = [samples(rng, 1, k, (0.0, 0.02 * (k % 25 == 24), 0.0))[0] for k in range(400)]
