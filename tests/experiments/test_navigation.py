@@ -186,8 +186,8 @@ def test_the_bound_knows_the_ball_as_well_as_the_robots_that_measured_it(monkeyp
 
 
 def test_who_sees_tags_is_not_aided_and_knows_best_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(around_ball, "AID_FIND_S", 8.0)
-    row = aided(0, seconds=8.0)
+    monkeypatch.setattr(around_ball, "AID_FIND_S", 15.0)
+    row = aided(0, seconds=10.0)
     assert row["own_mm"][0] == row["aided_mm"][0] < 8.0
     assert row["aided"] > 100 and row["nees"] / row["aided"] < 2.0
 

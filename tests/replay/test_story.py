@@ -27,7 +27,7 @@ def test_who_told_whom_and_what_came_of_it() -> None:
     text = told(GOLDEN / "outage" / "r2.mcap")
     assert text.startswith("Robot r2 of the fleet tank dived for 21.8 s from 2026-01-01 00:00:00 UTC.")
     assert "r2 was told of the target ball by r1 after 5.0 s and saw it itself after 8.6 s." in text
-    assert "it placed it at (760.0, 560.0, 70.0) ± 3.5 mm, from 14 measurements of its own." in text
+    assert "it placed it at (760.0, 560.0, 70.0) ± 3.4 mm, from 14 measurements of its own." in text
     assert text.endswith("The file is whole: it was finished by its writer.")
     assert "found the target ball by itself after 4.6 s." in told(GOLDEN / "outage" / "r1.mcap")
 
