@@ -507,6 +507,7 @@ CLAIM = Claim(
         the fleet's budget in them; whole agents swim by drawn tags. Nothing is rendered. Counted are the beliefs of a
         robot from ten seconds after the fault began, while its word is `consistent`. The robot is wrong in silence
         where their NEES is above 9 in the mean. A dive counts as not silent where such beliefs are at most one in
-        twenty of all. Rows without a target cannot be noticed: what all robots have wrong alike, or a whole map, is in
-        no sample of theirs. What is not in the table was not tried.""",
+        twenty of all. A fish here swims more level than the kernel expects of one: its NEES is that of two coordinates.
+        Rows without a target cannot be noticed: what all robots have wrong alike, or a whole map, is in no sample of
+        theirs. What is not in the table was not tried.""",
 )
