@@ -44,8 +44,8 @@ from hw.twin.calibration_bench import Bench
 from hw.twin.dive import Dive
 from hw.twin.optics.lens import Vcm, draw_lens
 from hw.twin.optics.painter import Painter
-from hw.twin.physics.body import SENSOR_M, SURVEY_DEG, SURVEY_M
-from hw.twin.physics.sensors import CORNERS, DRIFT_M_S, DRIFT_S, NOISE_M
+from hw.twin.physics.body import SURVEY_DEG, SURVEY_M
+from hw.twin.physics.sensors import DRIFT_M_S, NOISE_M, drifted_s, seems
 from hw.twin.scene import Scene, Solid, generator, in_daylight, scene_of
 from hw.twin.truth import PaintedTag
 
@@ -136,10 +136,10 @@ AVERAGED = 10  # samples of a sensor, 0.1 s: what the control module's observer 
 def level_of(depth_m: float, roll_deg: float, pitch_deg: float, rng: np.random.Generator) -> tuple[Attitude, float]:
     """Attitude as it is measured at some time of a dive, from what it is; and that time, s."""
     rate_m_s, on_s = rng.normal(0.0, DRIFT_M_S, 4), float(rng.uniform(0.0, DIVE_S))
-    error_m = rate_m_s * DRIFT_S * -math.expm1(-on_s / DRIFT_S) + rng.normal(0.0, NOISE_M / math.sqrt(AVERAGED), 4)
+    error_m = rate_m_s * drifted_s(on_s) + rng.normal(0.0, NOISE_M / math.sqrt(AVERAGED), 4)
     # z rises to the left with roll, and falls ahead with pitch: a sensor that reads too deep stands too low.
-    roll_off, pitch_off = (float(math.degrees((error_m * CORNERS[:, k]).sum() / (4.0 * SENSOR_M))) for k in (1, 0))
-    return Attitude(depth_m + float(error_m.mean()), roll_deg - roll_off, pitch_deg + pitch_off), on_s
+    deeper_m, ahead, left = seems(error_m)
+    return Attitude(depth_m + deeper_m, roll_deg - math.degrees(left), pitch_deg + math.degrees(ahead)), on_s
 
 
 # --- measurements of a ball ---

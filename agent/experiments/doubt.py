@@ -27,8 +27,7 @@ from agent.experiments.navigation.basin import TANK as BASIN
 from agent.experiments.navigation.basin import PlanarBodies
 from agent.experiments.navigation.swimmers import Swimmers
 from agent.robot.step import Agent
-from hw.twin.physics.body import SENSOR_M
-from hw.twin.physics.sensors import CORNERS, DRIFT_M_S, DRIFT_S
+from hw.twin.physics.sensors import DRIFT_M_S, drifted_s, seems
 
 # --- a fleet that agrees while something is wrong ---
 # A fleet that agrees on a target while something is wrong: its kernels' own targets, links that delay, and clocks.
@@ -162,19 +161,18 @@ class Drift:
 
     def __init__(self, on_s: float, stands: Array, seed: int) -> None:
         """on_s: how long they had been on before the dive."""
-        self._warm_m = DRIFT_M_S * DRIFT_S * np.random.default_rng((seed, 53)).standard_normal((len(stands), 4))
+        self._drift_m_s = DRIFT_M_S * np.random.default_rng((seed, 53)).standard_normal((len(stands), 4))
         self._on_s, self._stands = on_s, stands
 
     def of(self, sample: Prior, i: int, s: float) -> Prior:
         """A sample of robot i at s with that in it, and what it says of it."""
         on_s, arm = self._on_s + s, np.array(sample.x_m) - self._stands[i]
-        too_deep_m = self._warm_m[i] * -math.expm1(-on_s / DRIFT_S)
-        tilt = too_deep_m @ CORNERS / (4.0 * SENSOR_M)  # ahead and to the left it seems to be lower by so much
-        x, y, z = (np.array(sample.x_m) + np.cross((-tilt[1], tilt[0], 0.0), arm)).tolist()
+        deeper_m, ahead, left = seems(self._drift_m_s[i] * drifted_s(on_s))
+        x, y, z = (np.array(sample.x_m) + np.cross((-left, ahead, 0.0), arm)).tolist()
         now, cold = zeros(CAREFUL, on_s), TARED  # what a tare leaves is in STAYS_M
         height_m, tilt_rad = (math.sqrt(a * a - b * b) for a, b in zip(now[:2], cold[:2], strict=True))
         return sample._replace(
-            x_m=(x, y, z - float(too_deep_m.mean())),
+            x_m=(x, y, z - deeper_m),
             systematic_m2=plus(sample.systematic_m2, upper(by_pressure(tilt_rad, height_m, arm))),
             drift_m2_s2=upper(by_pressure(now.tilt_rad_s, now.height_m_s, arm)),
         )

@@ -33,7 +33,8 @@ WAITS = {
     "replay/files/log.py": ENDS,
 }
 OURS = {"machine", "clock", "Part"}  # the door itself
-CALLS = re.compile(r"\.(select|settimeout|sleep|wait_for|poll|wait)\(|thread\.join\(")
+WAITING = "select", "settimeout", "sleep", "wait_for", "poll", "wait"  # and a thread's join
+CALLS = re.compile(rf"\.({'|'.join(WAITING)})\(|thread\.join\(")
 
 
 def timed_waits(text: str) -> list[int]:
@@ -43,7 +44,7 @@ def timed_waits(text: str) -> list[int]:
         if not isinstance(node, ast.Call) or not isinstance(node.func, ast.Attribute):
             continue
         name = node.func.attr
-        if name not in ("select", "settimeout", "sleep", "wait_for", "poll", "wait", "join"):
+        if name not in (*WAITING, "join"):
             continue
         owner = ast.unparse(node.func.value)
         if owner in OURS or not (node.args or node.keywords):

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hw.compiled import compiled
-from hw.twin.physics.body import to_body, to_world
+from hw.twin.physics.body import SENSOR_M, to_body, to_world
 from hw.twin.physics.forces import GRAVITY_M_S2, WATER_KG_M3
 from hw.twin.scene import Waves, generator
 
@@ -32,6 +32,18 @@ BLOCK = 256  # samples of noise drawn at a time: a tick costs no call into the g
 
 # Corner of the hull that each sensor sits at, in units of sensor_m: the thrusters' numbering.
 CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+
+
+def drifted_s(t_s: float) -> float:
+    """For how many seconds of the drift at the start the drift until t_s counts."""
+    return DRIFT_S * (1 - math.exp(-t_s / DRIFT_S))
+
+
+def seems(too_deep_m: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Of a robot whose four sensors read so much too deep: how much too deep it seems to be, and by how much a metre
+    ahead of it, and to its left, seems to be lower than it is."""
+    ahead, left = (too_deep_m @ CORNERS / (4.0 * SENSOR_M)).tolist()
+    return float(too_deep_m.mean()), ahead, left
 
 
 @compiled()
@@ -97,7 +109,7 @@ class PressureSensors:
                 self._noise_pa[:, i] = rng.normal(0, noise_m * PA_PER_M, (BLOCK, 4))
         noise_pa = self._noise_pa[self._drawn % BLOCK]
         self._drawn += 1
-        drift_pa = self._drift_pa_s * (DRIFT_S * (1 - math.exp(-t_s / DRIFT_S)))
+        drift_pa = self._drift_pa_s * drifted_s(t_s)
         return np.asarray(np.round((self._still_pa + drift_pa + water_pa + noise_pa) / STEP_PA) * STEP_PA)
 
 
