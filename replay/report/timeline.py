@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import itertools
 import json
+from array import array
 from collections import Counter, defaultdict
 from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
@@ -207,7 +208,7 @@ class _Gathered:
         self._grants: list[tuple[float, Grant]] = []
         self._sweeps: list[LoggedSweep] = []
         self._set_depth_m: list[tuple[float, float]] = []
-        self._postures: list[tuple[float, ...]] = []
+        self._postures = array("d")  # 16 of each; hours of them are held at once
         self._swept: dict[tuple[str, int], list[tuple[float, Sighting]]] = {}  # by target and number, since the start
         self._outcomes: dict[tuple[str, int], SweepOutcome] = {}
         self._accounts: defaultdict[str, Account] = defaultdict(Account)
@@ -215,7 +216,7 @@ class _Gathered:
 
     def timelines(self, robot: str, fleet: Fleet, boxes: Sequence[BlackBox] = ()) -> list[RobotTimeline]:
         """One for each target, in the order of the fleet file; an empty one where nothing was shown."""
-        columns = np.array(self._postures, float).reshape(-1, 16)
+        columns = np.array(self._postures).reshape(-1, 16)
         t_s, depth_m, roll_deg, pitch_deg = columns.T[:4]
         posture = Posture(t_s, depth_m, roll_deg, pitch_deg, columns[:, 4:8], columns[:, 8:16])
         return [
@@ -249,7 +250,7 @@ class _Gathered:
         self._accounts[state.target].show(state, t_s)
         self.ends_s = t_s
         if state.depth_m is not None and state.roll_deg is not None and state.pitch_deg is not None:
-            self._postures.append((t_s, state.depth_m, state.roll_deg, state.pitch_deg, *UNKNOWN))
+            self._postures.extend((t_s, state.depth_m, state.roll_deg, state.pitch_deg, *UNKNOWN))
 
     def heard(self) -> Counter[str]:
         """Messages from each neighbour, by this robot's own count, over all of its starts."""
@@ -261,7 +262,7 @@ class _Gathered:
     def take_in(self, inputs: Inputs, start_ns: int) -> None:
         for t in inputs.telemetry:
             t_s = (t.t_ns - start_ns) * 1e-9
-            self._postures.append((t_s, t.depth_m, t.roll_deg, t.pitch_deg, *t.sensor_depth_m, *t.pulses_us))
+            self._postures.extend((t_s, t.depth_m, t.roll_deg, t.pitch_deg, *t.sensor_depth_m, *t.pulses_us))
         for sighting in inputs.sightings:
             if sighting.sweep:
                 frames = self._swept.setdefault((sighting.target, sighting.sweep), [])

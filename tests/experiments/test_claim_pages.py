@@ -30,7 +30,7 @@ from tests.places import ROOT
 
 
 def without_age(text: str) -> str:
-    return text.replace(OLDER, "")
+    return text.replace(f"; {OLDER}", "").replace(OLDER, "")
 
 
 @pytest.mark.slow

@@ -161,6 +161,7 @@ class Live:
             "now_ms": self._clock.now_ns() * 1e-6,
             "rate": self._clock.rate(),
             "refused": self._board.refused,
+            "full": self._board.full,
             "recording": self._recording.note() if self._recording else None,
         }
         self._board.show("clock", lambda: text(note))

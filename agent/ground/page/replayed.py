@@ -211,6 +211,7 @@ class Replayed:
             "now_ms": self._at_ns * 1e-6,
             "rate": 0.0 if self._paused else self._speed,
             "refused": self._board.refused,
+            "full": self._board.full,
             "first_ms": self._first_ns * 1e-6,
             "last_ms": self._last_ns * 1e-6,
             "speed": self._speed,

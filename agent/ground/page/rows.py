@@ -217,6 +217,7 @@ class Board:
 
     def __init__(self) -> None:
         self.refused = 0  # messages that are none: not shown
+        self.full = False  # something is not shown, for there are too many keys
         self._newest: dict[str, Item] = {}
         self._lines: deque[msgspec.Raw] = deque(maxlen=KEPT)
         self._viewers: set[Viewer] = set()
@@ -225,6 +226,7 @@ class Board:
         """In place of what was shown of this key. False: there are too many keys already, and it is not shown."""
         most = MOST_SURFACES if key.startswith("surface/") else MOST_KEYS
         if key not in self._newest and len(self._newest) >= most:
+            self.full = True
             return False
         self._newest[key] = Item(make)
         for viewer in self._viewers:
@@ -244,6 +246,7 @@ class Board:
         kept = {key: item for key, item in self._newest.items() if key in ("hello", "clock", CAME)}
         self._newest = kept
         self._lines.clear()
+        self.full = False
         for viewer in self._viewers:
             viewer.waiting = {key: None for key in viewer.waiting if key in kept}
             viewer.lines.clear()

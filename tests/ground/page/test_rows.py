@@ -14,7 +14,7 @@ from agent.core.codec import Refusal, encode
 from agent.core.messages import Answer
 from agent.core.topics import ANSWER, CLAIM, IMAGE, KEYFRAME, LIGHT, LINK, LOG, NEAR, STATE
 from agent.core.verdict import ORDER
-from agent.ground.page.rows import KEPT, MOST_KEYS, Board, Rows, Viewer, text
+from agent.ground.page.rows import KEPT, MOST_KEYS, MOST_SURFACES, Board, Rows, Viewer, text
 from tests.ground.page.shown import FLEET, NOW_NS, image, keyframe, log, received, row, state
 from tests.sample_messages import estimate, presence
 
@@ -256,9 +256,24 @@ def test_what_is_no_message_is_counted_and_the_rest_is_shown() -> None:
 def test_who_invents_keys_fills_nothing() -> None:
     board = Board()
     viewer = board.join()
-    for number in range(MOST_KEYS + 100):
+    for number in range(MOST_KEYS):
         shows(board, f"state/{number}", number)
-    assert len(sent(board, viewer)) == MOST_KEYS
+    assert not board.full
+    shows(board, "state/more", 0)
+    assert len(sent(board, viewer)) == MOST_KEYS and board.full
+    board.start_over()
+    assert not board.full
+
+
+def test_keyframes_that_are_not_shown_are_told_of() -> None:
+    board = Board()
+    for number in range(MOST_SURFACES):
+        shows(board, f"surface/r1/{number}", number)
+    assert not board.full
+    shows(board, "surface/r1/more", 0)
+    assert board.full and len(sent(board, board.join())) == MOST_SURFACES
+    shows(board, "state/r1", 1)
+    assert len(sent(board, board.join())) == MOST_SURFACES + 1
 
 
 def test_another_time_of_a_recording_begins_with_saying_so() -> None:
