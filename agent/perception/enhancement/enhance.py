@@ -343,7 +343,7 @@ def network_enhancer(net: LU2Net, variant: Variant) -> Enhancer:
     from agent.perception.enhancement import lu2net
 
     if variant != "fast":
-        lu2net.keep_memory()
+        machine.keep_memory()
     if variant == "plain":
         return Enhancer(variant, sparing(lambda image: lu2net.run(net, image)))
     quick = lu2net.fold(net)

@@ -13,7 +13,6 @@ when a picture is made of them.
 
 from __future__ import annotations
 
-import ctypes
 import hashlib
 import io
 import math
@@ -196,20 +195,6 @@ def save(net: LU2Net, path: Path) -> None:
 
 def hash_file(path: Path) -> Path:
     return path.with_name(path.name + ".sha256")
-
-
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # of glibc's mallopt
-KEPT_BYTES = 1 << 30
-
-
-@cache
-def keep_memory() -> None:
-    """What one layer frees, the next one gets. Else glibc hands large tensors back to the system, and has every page of
-    them cleared anew: half the time of the network as it is trained, a quarter of the folded one's."""
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is not None:
-        mallopt(M_MMAP_THRESHOLD, KEPT_BYTES)
-        mallopt(M_TRIM_THRESHOLD, KEPT_BYTES)
 
 
 def run(net: LU2Net, image: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -178,10 +178,11 @@ def fill_circles(depth_m: Floats, of: Circle, radius: Floats, stretch: Floats) -
     """The window refracts by Snell's law, so rays that leave a point a little apart meet nearer the steeper they are:
     by cos a / cos w across the plane of incidence, and by the cube of that within it. A point beside the axis becomes
     an ellipse, which is longer away from the axis or around it."""
+    more = np.empty(depth_m.shape[1], np.float32)
     for row in range(depth_m.shape[0]):
-        y_m = (of.top_px + np.float32(row)) * of.pixel_m
-        for col in range(depth_m.shape[1]):
-            x_m = (of.left_px + np.float32(col)) * of.pixel_m
+        y_m = (of.top_px + np.float32(np.int32(row))) * of.pixel_m
+        for col in range(depth_m.shape[1]):  # several pixels at once, which pairs of numbers forbid
+            x_m = (of.left_px + np.float32(np.int32(col))) * of.pixel_m
             r2_m2 = x_m * x_m + y_m * y_m
             slope2 = r2_m2 / (of.image_m * of.image_m)
             magnified = ONE + slope2 * (of.k1 + of.k2 * slope2)
@@ -198,9 +199,11 @@ def fill_circles(depth_m: Floats, of: Circle, radius: Floats, stretch: Floats) -
             square = HALF * (around * around + away * away)
             fits = min(of.largest_px * of.largest_px / max(square, TINY), ONE)
             radius[row, col] = math.sqrt(square * fits)
-            more = EIGHTH * fits * (away * away - around * around) / max(r2_m2, TINY)
-            stretch[row, col, 0] = more * (x_m * x_m - y_m * y_m)
-            stretch[row, col, 1] = TWO * more * x_m * y_m
+            more[col] = EIGHTH * fits * (away * away - around * around) / max(r2_m2, TINY)
+        for col in range(depth_m.shape[1]):
+            x_m = (of.left_px + np.float32(np.int32(col))) * of.pixel_m
+            stretch[row, col, 0] = more[col] * (x_m * x_m - y_m * y_m)
+            stretch[row, col, 1] = TWO * more[col] * x_m * y_m
 
 
 def margin(largest_px: float) -> int:

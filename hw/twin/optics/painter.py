@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.clock import machine
 from agent.core.config import Tank
 from hw.twin.optics import raycast
 from hw.twin.optics.image_formation import (
@@ -90,6 +91,7 @@ class Painter:
 
     def prepare(self) -> None:
         """Make textures and tables, set the exposure, and let the kernels compile: seconds on a fresh machine."""
+        machine.keep_memory()
         water = draw_water(self._scene.water, generator(self._seed, "water"))
         room = self._scene.room_light
         steps_m = np.arange(int(np.linalg.norm(self._box_m) * PER_M) + 2) / PER_M
