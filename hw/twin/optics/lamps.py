@@ -190,49 +190,59 @@ def light_up(
     """Add the lamps' light to picture (h, w, 3), W/m2/sr; albedo (h, w, 3) as shade() has drawn it without water in a
     room of light 1."""
     last, around = ways.straight.shape[0] - 1, water.surface
-    farthest = around.shape[0] - 1
+    farthest, width = around.shape[0] - 1, depth.shape[1]
+    of_row, light = np.empty((10, width), np.float32), np.empty((3, width), np.float32)
+    px, py, length, back = of_row[0], of_row[1], of_row[2], of_row[3]
+    nx, ny, nz = of_row[4], of_row[5], of_row[6]
+    ranges, cosines, scales = of_row[7], of_row[8], of_row[9]
     for row in range(depth.shape[0]):
-        for col in range(depth.shape[1]):
-            who = identity[row, col]
-            if who == SURFACE_ID:
-                continue
+        us, whos = depth[row], identity[row]
+        for col in range(width):  # several pixels at once, which tables forbid
             mx, my, a, b = ray(view.optics, x0 + col, y0 + row)
-            u = depth[row, col]
-            px, py = a + u * mx, b + u * my
-            nx, ny, nz, room = _normal(view, who, px, py, u)
-            itself = int(who) - SOLID_ID
-            inverse_n = ONE / math.sqrt(nx * nx + ny * ny + nz * nz)
-            e0 = e1 = e2 = ZERO
-            for lamp in range(beams.power.shape[0]):
-                lx, ly, lz = beams.place[lamp, 0], beams.place[lamp, 1], beams.place[lamp, 2]
-                wx, wy, wz = px - lx, py - ly, u - lz
-                facing = -(wx * nx + wy * ny + wz * nz)
-                if facing <= ZERO:
-                    continue
+            u = us[col]
+            px[col], py[col] = a + u * mx, b + u * my
+            length[col] = u * math.sqrt(ONE + mx * mx + my * my)
+        for col in range(width):
+            kx, ky, kz, room = _normal(view, whos[col], px[col], py[col], us[col])
+            inverse = ONE / math.sqrt(kx * kx + ky * ky + kz * kz)
+            nx[col], ny[col], nz[col], back[col] = kx * inverse, ky * inverse, kz * inverse, INVERSE_PI / room
+            light[0, col] = light[1, col] = light[2, col] = ZERO
+        for lamp in range(beams.power.shape[0]):
+            lx, ly, lz = beams.place[lamp, 0], beams.place[lamp, 1], beams.place[lamp, 2]
+            ax, ay, az = beams.aim[lamp, 0], beams.aim[lamp, 1], beams.aim[lamp, 2]
+            power = beams.power[lamp]
+            for col in range(width):
+                wx, wy, wz = px[col] - lx, py[col] - ly, us[col] - lz
+                facing = -(wx * nx[col] + wy * ny[col] + wz * nz[col])
                 r2 = max(wx * wx + wy * wy + wz * wz, NEAREST_M2)
                 inverse = ONE / math.sqrt(r2)
-                r = r2 * inverse
-                cosine = (wx * beams.aim[lamp, 0] + wy * beams.aim[lamp, 1] + wz * beams.aim[lamp, 2]) * inverse
-                scale = beams.power[lamp] * facing * inverse_n * inverse * inverse * inverse
+                ranges[col] = r2 * inverse
+                cosines[col] = (wx * ax + wy * ay + wz * az) * inverse
+                scales[col] = power * facing * inverse * inverse * inverse
+            for col in range(width):
+                scale, r, cosine = scales[col], ranges[col], cosines[col]
+                if scale <= ZERO or whos[col] == SURFACE_ID:
+                    continue
                 i = min(int(r * PER_SURFACE), farthest)
                 j, up = place_in(math.sqrt(max(HALF - HALF * cosine, ZERO)) * np.float32(OFFS - 1), OFFS)
                 s0 = around[i, j, 0] + up * (around[i, j + 1, 0] - around[i, j, 0])
                 s1 = around[i, j, 1] + up * (around[i, j + 1, 1] - around[i, j, 1])
                 s2 = around[i, j, 2] + up * (around[i, j + 1, 2] - around[i, j, 2])
                 shining = beam_at(cosine, beam)
-                if shining > ZERO and not in_shadow(beams, lamp, wx, wy, wz, itself):
-                    n = min(int(r * PER_M), last)
-                    s0 += shining * ways.straight[n, 0]
-                    s1 += shining * ways.straight[n, 1]
-                    s2 += shining * ways.straight[n, 2]
-                e0 += scale * s0
-                e1 += scale * s1
-                e2 += scale * s2
-            n = min(int(u * math.sqrt(ONE + mx * mx + my * my) * PER_M), last)
-            back = INVERSE_PI / room
-            picture[row, col, 0] += albedo[row, col, 0] * e0 * back * ways.image[n, 0]
-            picture[row, col, 1] += albedo[row, col, 1] * e1 * back * ways.image[n, 1]
-            picture[row, col, 2] += albedo[row, col, 2] * e2 * back * ways.image[n, 2]
+                if shining > ZERO:
+                    wx, wy, wz = px[col] - lx, py[col] - ly, us[col] - lz
+                    if not in_shadow(beams, lamp, wx, wy, wz, int(whos[col]) - SOLID_ID):
+                        n = min(int(r * PER_M), last)
+                        s0 += shining * ways.straight[n, 0]
+                        s1 += shining * ways.straight[n, 1]
+                        s2 += shining * ways.straight[n, 2]
+                light[0, col] += scale * s0
+                light[1, col] += scale * s1
+                light[2, col] += scale * s2
+        for col in range(width):
+            n = min(int(length[col] * PER_M), last)
+            for c in range(3):
+                picture[row, col, c] += albedo[row, col, c] * light[c, col] * back[col] * ways.image[n, c]
 
 
 @kernel
