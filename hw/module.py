@@ -14,7 +14,7 @@ from agent.core.config import ConfigError
 from agent.core.step_io import Motors as Ordered
 from agent.core.step_io import SetPoint, Telemetry
 from hw.firmware import wire
-from hw.firmware.failsafe import SURFACE
+from hw.firmware.failsafe import LATCHED, SURFACE
 
 Tap = Callable[[bool, bytes], None]  # (whether from the module, bytes), called in the backend's thread
 Line = tuple[Literal["info", "warning", "error"], str]  # for people
@@ -43,6 +43,9 @@ class Module(Protocol):
 
     def surface(self) -> None:
         """Go up, until an order to arm calls the robot back."""
+
+    def disarm(self) -> None:
+        """Motors off, and no wish to arm any more."""
 
     def emergency_stop(self) -> None:
         """Motors off, whatever becomes of this host, until a person arms."""
@@ -93,54 +96,88 @@ def known_scheme(url: str) -> tuple[str, str]:
 # --- motors ---
 
 AGAIN_NS = 500_000_000  # after this long a module that still does not do what was ordered is told again
+ARM_WITHIN_NS = 15_000_000_000  # of the order; later nobody who ordered expects motors to start
 GIVEN_UP = "to start them, put right what stopped them, and order: arm; or start this agent again with --arm"
+FOUND_ON = "this agent was started without --arm and found them on: the robot surfaces; to call it back, order: arm"
+
+Wish = Ordered | Literal["never armed", "given up", "found on"]
 
 
 class Motors:
-    """Whether the motors of one robot turn, by the agent's start and by orders; the module is told so, and told again.
+    """Whether the motors of one robot turn, by the agent's start and by orders; the module is told so, and told again
+    until it says that it does so.
 
     A stop is latched in the module: whatever becomes of this agent, only a person's order to arm undoes it.
     A robot that surfaced because its host was silent is called back when the host is there again, but never a robot
-    that was ordered up or stopped.
+    that was ordered up or stopped. An order to arm that comes to nothing in time is over: who then pushes home a plug
+    has a hand there. One that is armed though nobody asked this agent for motors is sent up.
     """
 
     def __init__(self, module: Module, arm: bool) -> None:
-        """arm: whether the agent was started with --arm."""
+        """arm: whether the agent was started with --arm, which waits for as long as it takes."""
         self._module = module
-        self._wish: Ordered | Literal["never armed"] = "arm" if arm else "never armed"
-        self._told_ns = 0
+        self._wish: Wish = "arm" if arm else "never armed"
+        self._told_ns = self._heard_ns = 0
+        self._until_ns: int | None = None  # of an order to arm that the module has not obeyed yet
 
     def obey(self, ordered: Ordered, now_ns: int) -> None:
         """Do that from now on. A tare is done once, and refused by the module where its motors are on."""
         if ordered == "tare":
             self._module.tare()
             return
-        self._wish = ordered
-        self._tell(now_ns)
+        self._until_ns = now_ns + ARM_WITHIN_NS if ordered == "arm" else None
+        self._wish_for(ordered, now_ns)
 
     def feel(self, told: Sequence[Telemetry], now_ns: int) -> None:
         """Compare with what the module says, and tell it again."""
-        if not told or now_ns - self._told_ns < AGAIN_NS:
-            return
-        newest = told[-1]
-        turns_on = self._wish == "off" and newest.armed
-        stays_down = self._wish == "surface" and newest.armed and newest.ladder < SURFACE
-        if turns_on or stays_down or (self._wish == "arm" and surfacing_for_silence(newest)):
+        newest = told[-1] if told else None
+        if newest is not None:
+            self._heard_ns = now_ns
+            if newest.armed:
+                self._until_ns = None
+                if self._wish == "never armed":
+                    self._wish_for("found on", now_ns)
+        if self._until_ns is not None and now_ns > self._until_ns:
+            self._until_ns = None
+            self._wish_for("given up", now_ns)
+        if now_ns - self._told_ns >= AGAIN_NS and self._undone(newest, now_ns):
             self._tell(now_ns)
 
     def fault(self) -> str | None:
-        """What to do where they are wanted, and the module has given up."""
-        return GIVEN_UP if self._wish == "arm" and not self._module.wants_armed else None
+        """What to do where they are wanted and the module has given up, or where they were on and nobody wants them."""
+        if self._wish == "found on":
+            return FOUND_ON
+        given_up = self._wish == "given up" or (self._wish == "arm" and not self._module.wants_armed)
+        return GIVEN_UP if given_up else None
+
+    def _undone(self, newest: Telemetry | None, now_ns: int) -> bool:
+        """Whether the module does not do what is wanted, or it is not known that it does."""
+        match self._wish:
+            case "never armed" | "given up":
+                return False
+            case "arm":
+                return newest is not None and surfacing_for_silence(newest)
+            case "off":
+                done = newest is not None and newest.ladder == LATCHED
+            case _:
+                done = newest is not None and (newest.ladder >= SURFACE or not newest.armed)
+        return not done and (newest is not None or now_ns - self._heard_ns >= AGAIN_NS)
+
+    def _wish_for(self, wish: Wish, now_ns: int) -> None:
+        self._wish = wish
+        self._tell(now_ns)
 
     def _tell(self, now_ns: int) -> None:
         self._told_ns = now_ns
         match self._wish:
             case "off":
                 self._module.emergency_stop()
-            case "surface":
+            case "surface" | "found on":
                 self._module.surface()
             case "arm":
                 self._module.arm()
+            case "given up":
+                self._module.disarm()
 
 
 def surfacing_for_silence(telemetry: Telemetry) -> bool:

@@ -3,8 +3,8 @@
 The state is saved every second, not every step: a step that raises is undone by going back to that savepoint, and
 forward again by the same inputs. Then it is tried without the message that broke it. That message is found by bisection
 and is not taken in again. Where no message is to blame, the inputs of the devices are left out; where that does not
-help either, the robot keeps its last set-point, and after a second of it surfaces. All this is part of the step: replay
-does the same.
+help either, the robot keeps its last set-point, and after a second of it surfaces; after ten seconds it is ordered up
+for good. All this is part of the step: replay does the same.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ REMEMBERED = 64  # payloads that broke a step
 GUILTY = 4  # messages of one step that can be found, at most; then all that it heard is left out
 DEGRADED_NS = 10_000_000_000  # how long a broken step stays a fault
 SAVE_EVERY = 20  # steps: a copy of the state takes as long as half a step, and is hardly ever needed
-SURFACE_AFTER = 20  # broken steps in a row: a second
+SURFACE_AFTER, GIVEN_UP_AFTER = 20, 200  # broken steps in a row: a second, and ten
 SURFACE_M = 0.08  # where surfacing ends: a hull that is lifted out would plunge when the motors stop
 
 
@@ -147,12 +147,13 @@ class StepTransaction:
         return None
 
     def _hold(self, inputs: Inputs) -> Outputs:
-        """The set-point where the kernel gives none: the last one without forces, and after a while the way up."""
+        """The set-point where the kernel gives none: the last one without forces and light, after a while the way up.
+        Set-points keep the module from surfacing by itself, so in the end it is ordered up, and switches motors off."""
         self._in_a_row += 1
         self._keys = inputs.keys
-        held = replace(self._set_point or SetPoint(depth_m=SURFACE_M), force_n=(0.0, 0.0), yaw_moment_nm=0.0)
+        held = replace(self._set_point or SetPoint(depth_m=SURFACE_M), force_n=(0.0, 0.0), yaw_moment_nm=0.0, light=0.0)
         self._set_point = replace(held, depth_m=SURFACE_M) if self._in_a_row >= SURFACE_AFTER else held
-        return Outputs(set_point=self._set_point)
+        return Outputs(set_point=self._set_point, motors="surface" if self._in_a_row == GIVEN_UP_AFTER else UNSET)
 
     def _refuse(self, heard: Word) -> None:
         self._refused[digest(heard)] = None

@@ -25,6 +25,7 @@ from agent.core.step_io import SetPoint, Telemetry
 from agent.process.command import Failed
 from agent.process.transport import fleet_clock
 from agent.robot.fleet_reader import load_fleet, load_robot
+from agent.robot.operator import WEATHER_M
 from hw.firmware import wire
 from hw.firmware.failsafe import LATCHED, WIRING
 from hw.firmware.thrust import PITCH, ROLL
@@ -37,7 +38,6 @@ BoardOrder = Literal["info", "tare", "check", "params", "reboot"]
 LIMIT_S = 10.0  # of the clock: to be greeted, to be answered, and to be greeted again
 WORDS_S = 1.0  # a board that is greeted tells what is wrong with this boot
 LOOK_S = 0.05
-WEATHER_M = 0.25  # of water: the pressure of air differs by less from day to day
 HANDS_S = 60.0  # a person has to turn a switch, or to press a corner down
 
 CLOCK = 0.01  # share that a board's may differ: in the 20 s that pulses take, frames come late by less

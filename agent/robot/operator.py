@@ -2,7 +2,8 @@
 
 No two clocks are compared: an order says which State of the robot was looked at, by the robot's own stamp. One that
 goes by a State of three seconds ago or of an earlier start is refused. A stop, in whatever words, is never refused for
-its age, and no arm that was on its way undoes it.
+its age, and no arm that was on its way undoes it. What concerns the motors is done only where the control module is
+heard: a stop goes out all the same, and is answered by what is not known.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from agent.core.codec import Refusal, decode, printable
 from agent.core.config import Fleet, Follow, Goto, Hold, Orbit, Search, Survey, Trial, Turn
 from agent.core.messages import MAX_ORDER, MAX_WORDS, Answer, Order
 from agent.core.status import Logbook
-from agent.core.step_io import Motors, Ordered, Outputs, TargetBox
+from agent.core.step_io import Motors, Ordered, Outputs, TargetBox, Telemetry
 from agent.core.step_transaction import SURFACE_M, Revertible
 from agent.core.verbs import (
     CLOCK,
@@ -184,6 +185,11 @@ def lacking(what: Args) -> str:
     )
 
 
+# --- control module ---
+
+WEATHER_M = 0.25  # of water: the pressure of air differs by less from day to day
+UNTOLD = "its control module is silent and motors may turn; use the kill switch. It is told as soon as it is heard"
+
 # --- memory of answers ---
 
 ORDERS = 64  # of each session of a console
@@ -286,6 +292,7 @@ class Operator(Revertible):
         self._fleet, self._name, self._incarnation, self._log = fleet, name, incarnation, log
         self._commands, self._memory = Commands(fleet, name, equipment), Memory()
         self._halted_ns = -1  # when a stop or a surfacing was ordered last
+        self._module: Telemetry | None = None  # the newest of its control module; None: it is silent
         self._holds: dict[str, str] = {}  # what each of a robot's parts is ordered to do, and by which console
         self._now: dict[tuple[str, bytes], Answer] = {}  # of this step
 
@@ -304,8 +311,9 @@ class Operator(Revertible):
         """What people have ordered that holds, for telemetry."""
         return tuple(self._holds.values()) or UNSET
 
-    def take(self, orders: tuple[Ordered, ...] | UnsetType, now_ns: int) -> None:
-        """Judge and carry out what arrived since the last step."""
+    def take(self, orders: tuple[Ordered, ...] | UnsetType, module: Telemetry | None, now_ns: int) -> None:
+        """Judge and carry out what arrived since the last step. module: the newest that it said; None: it is silent."""
+        self._module = module
         for ordered in orders or ():
             self._now[ordered.console, ordered.payload] = self._answer(ordered, now_ns)
 
@@ -322,7 +330,8 @@ class Operator(Revertible):
         )
         self._now = {}
         at_once = self._commands.take_at_once()
-        return replace(outputs, answers=answers, motors=at_once.motors, box=at_once.box, preview_hz=at_once.preview_hz)
+        motors = outputs.motors if at_once.motors is UNSET else prevailing(outputs.motors, at_once.motors)
+        return replace(outputs, answers=answers, motors=motors, box=at_once.box, preview_hz=at_once.preview_hz)
 
     def _answer(self, ordered: Ordered, now_ns: int) -> Answer:
         console, order, said = ordered.console, None, ""
@@ -335,7 +344,7 @@ class Operator(Revertible):
             again = self._memory.again(console, order)
             if isinstance(again, Answer):
                 return again
-            if why := again or self._too_old(order, now_ns):
+            if why := again or self._too_old(order, now_ns) or self._unable(what):
                 raise Refusal("content", why)
             self._commands.carry_out(what)
         except Refusal as refusal:
@@ -350,7 +359,8 @@ class Operator(Revertible):
         if order.verb in URGENT:
             self._halted_ns = now_ns
         self._log.note("warning" if order.verb in URGENT else "info", f"{console} orders: {said}", now_ns)
-        answer = self._said(ordered, order, said, None, now_ns)
+        untold = UNTOLD if order.verb in URGENT and self._module is None else None
+        answer = self._said(ordered, order, said, untold, now_ns)
         self._memory.keep(console, order, answer)
         return answer
 
@@ -374,6 +384,17 @@ class Operator(Revertible):
             return f"it goes by a State of {(now_ns - seen_ns) * 1e-9:.1f} s ago; look at the newest, and order again"
         if order.verb == "arm" and seen_ns <= self._halted_ns:
             return "somebody has ordered a stop or a surfacing since; look whether that is over, and order again"
+        return ""
+
+    def _unable(self, what: Args) -> str:
+        """Why the control module cannot do it now; empty: it can. When it could, later, who orders may be elsewhere."""
+        if not isinstance(what, Arm | Tare):
+            return ""
+        if self._module is None:
+            return "its control module is silent; look at its cable, and order again"
+        if isinstance(what, Tare) and abs(self._module.depth_m) > WEATHER_M:
+            depth = f"its sensors read {self._module.depth_m:+.2f} m by the zero that they have"
+            return f"{depth}; take it out of the water, or if it is in air: aucamp board tare --depth 0"
         return ""
 
     def _left_out(self, ordered: Ordered, now_ns: int) -> Answer:

@@ -13,7 +13,7 @@ from msgspec import UNSET
 from msgspec.structs import replace
 
 from agent.core.step_io import SetPoint, Telemetry
-from hw.firmware import parameters, wire
+from hw.firmware import failsafe, parameters, wire
 
 # --- orders: asked, sent, repeated, answered ---
 
@@ -343,7 +343,7 @@ class HostProtocol:
     """
 
     def __init__(self, host_boot: int) -> None:
-        self._arming = Arming()
+        self._arming, self._latched = Arming(), False  # whether the board has, by what it said last
         self._stop: Literal["none", "latched", "rebooting"] = "none"  # an emergency stop of this host's
         self.telemetry: deque[Telemetry] = deque()
         self.lines: deque[StatusText] = deque(maxlen=KEEP_LINES)
@@ -413,15 +413,15 @@ class HostProtocol:
     def arm(self) -> None:
         """Ask for arming as soon as the board can; a refusal that waiting cannot cure ends it.
 
-        A board that this host stopped is rebooted first: the person who arms it knows of the stop. One that latched for
-        another reason, or for another host, is not.
+        A board that this host stopped is rebooted first: the person who arms it knows of the stop. One that had latched
+        before, for another reason or host, is not.
         """
         self._arming.want()
 
     def stop(self, kind: int, *fields: float) -> None:
         """DISARM, ESTOP, or MODE to surface, ahead of any other command."""
         self._arming.wanted = False
-        if kind == wire.ESTOP:
+        if kind == wire.ESTOP and not self._latched:
             self._stop = "latched"
         self._orders.overtake(Order(kind, fields))
 
@@ -535,6 +535,7 @@ class HostProtocol:
             self.hung_up()
             return
         self._say(self._arming.seen(telemetry.armed))
+        self._latched = telemetry.ladder == failsafe.LATCHED
         if telemetry.rate_rad_s is not UNSET:
             self._imu_boot = self._boot_id
         sent_ns = self._sent_ns.pop(set_point_seq, None)

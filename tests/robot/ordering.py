@@ -3,6 +3,8 @@
 from collections.abc import Mapping
 from pathlib import Path
 
+from msgspec.structs import replace
+
 from agent.core.codec import encode
 from agent.core.config import Fleet
 from agent.core.messages import Answer, Arg, Order
@@ -26,12 +28,15 @@ class Ordering:
         self.agent = Agent(fleet, "r1", calibration, incarnation=START_NS)
         self._script = Script(fleet, "r1", lambda: self.now_ns)
         self._motors = Motors(self._script)
+        self.unplugged, self.depth_m = False, None  # its tether; how deep it lies, if not as the fleet file has it
         self.steps: list[tuple[int, bytes, bytes]] = []  # of all: time, inputs, outputs
         self.outputs = Outputs(set_point=None)  # type: ignore[arg-type]
 
     def step(self, *orders: Ordered) -> Outputs:
         self.now_ns += STEP_NS
-        telemetry, _ = self._motors.drain()
+        telemetry = () if self.unplugged else self._motors.drain()[0]
+        if self.depth_m is not None:
+            telemetry = tuple(replace(each, depth_m=self.depth_m) for each in telemetry)
         inputs = Inputs(telemetry=tuple(telemetry), sightings=tuple(self._script.drain()))
         if orders:
             inputs = Inputs(telemetry=inputs.telemetry, sightings=inputs.sightings, orders=orders)

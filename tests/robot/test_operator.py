@@ -9,10 +9,10 @@ from agent.core.codec import encode
 from agent.core.config import Access, Fleet
 from agent.core.messages import MAX_ORDER
 from agent.core.step_io import Ordered
-from agent.core.step_transaction import SURFACE_AFTER, Savepoint
+from agent.core.step_transaction import GIVEN_UP_AFTER, SURFACE_AFTER, Savepoint
 from agent.core.verbs import LookAt, Stop
 from agent.robot import operator
-from agent.robot.operator import STALE_NS, Commands
+from agent.robot.operator import STALE_NS, WEATHER_M, Commands
 from agent.robot.targets import Targets
 from tests.robot.ordering import FLEET, START_NS, Ordering
 
@@ -261,6 +261,58 @@ def test_a_stop_outlives_a_kernel_that_is_broken(robot, monkeypatch) -> None:
     robot.run(0.2)
     assert not robot.give("arm", seen=early).ok  # it remembers that there was one
     assert robot.give("arm").ok
+
+
+def test_a_kernel_that_stays_broken_is_dark_and_in_the_end_sent_up_for_good(robot, monkeypatch) -> None:
+    """Its set-points keep the module from surfacing by itself, which switches motors off."""
+    held = robot.agent.transaction._set_point
+    robot.agent.transaction._set_point = replace(held, light=1.0, force_n=(1.0, 0.0))
+
+    def broken(*about: object) -> None:
+        raise ZeroDivisionError
+
+    monkeypatch.setattr(Targets, "iterate", broken)
+    outputs = robot.run(15.0)
+    assert all(each.set_point.light == 0.0 and each.set_point.force_n == (0.0, 0.0) for each in outputs)
+    assert [k for k, each in enumerate(outputs) if each.motors is not UNSET] == [GIVEN_UP_AFTER - 1]
+    assert outputs[GIVEN_UP_AFTER - 1].motors == "surface"
+
+
+# --- a control module that is silent, or under water ---
+
+
+@pytest.mark.parametrize("verb", ["stop", "disarm", "surface"])
+def test_a_stop_that_the_module_cannot_hear_is_told_and_is_not_called_done(robot, verb: str) -> None:
+    robot.unplugged = True
+    robot.run(1.0)
+    answer = robot.give(verb)
+    assert not answer.ok and "silent" in answer.why and answer.order == verb
+    assert robot.outputs.motors == ("surface" if verb == "surface" else "off")
+    robot.unplugged = False
+    robot.run(0.2)
+    assert robot.give(verb).ok
+
+
+def test_what_starts_when_somebody_plugs_it_in_is_not_ordered_before(robot) -> None:
+    robot.unplugged = True
+    robot.run(1.0)
+    for verb in ("arm", "tare"):
+        answer = robot.give(verb)
+        assert not answer.ok and "silent" in answer.why
+        assert robot.outputs.motors is UNSET
+    robot.unplugged = False
+    robot.run(0.2)
+    assert robot.give("arm").ok
+
+
+def test_no_zero_is_taken_under_water(robot) -> None:
+    assert robot.agent.attitude.newest.depth_m > WEATHER_M
+    answer = robot.give("tare")
+    assert not answer.ok and "take it out of the water" in answer.why
+    assert robot.outputs.motors is UNSET
+    robot.depth_m = 0.01
+    robot.run(0.2)
+    assert robot.give("tare").ok and robot.outputs.motors == "tare"
 
 
 def test_a_stop_that_breaks_the_step_is_one_still(robot, monkeypatch) -> None:

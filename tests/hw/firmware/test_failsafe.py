@@ -449,6 +449,12 @@ def test_a_firmware_that_hangs_is_reset_and_stays_disarmed_until_somebody_has_lo
     robot.protocol.arm()
     robot.run(1.0)
     assert robot.heard("fault latched") and not robot.armed
+    boot_id = robot.protocol._boot_id
+    robot.protocol.stop(wire.ESTOP)
+    robot.run(0.5)
+    robot.protocol.arm()  # a stop on top of it is no leave to reboot
+    robot.run(6.0)
+    assert not robot.armed and robot.protocol._boot_id == boot_id and robot.ladder == failsafe.LATCHED
     robot.dive.cut_power("r1", 0.2)  # somebody has looked at it
     robot.run(0.5)
     robot.arm()

@@ -16,8 +16,8 @@ from agent.clock.keeper import start_clock
 from agent.core.config import ConfigError
 from agent.core.step_io import Telemetry
 from hw.firmware import failsafe, wire
-from hw.firmware.failsafe import DISARM, HOLD, OK, SURFACE
-from hw.module import AGAIN_NS, Motors, open_module, serial_port, surfacing_for_silence
+from hw.firmware.failsafe import DISARM, HOLD, LATCHED, OK, SURFACE
+from hw.module import AGAIN_NS, ARM_WITHIN_NS, Motors, open_module, serial_port, surfacing_for_silence
 from hw.stm32.driver import Stm32
 from hw.stm32.protocol import Level
 from tests.hw.stm32.driven_desk import HOVER, Port, drive
@@ -288,6 +288,9 @@ class Board:
     def arm(self) -> None:
         self.told.append("arm")
 
+    def disarm(self) -> None:
+        self.told.append("disarm")
+
     def emergency_stop(self) -> None:
         self.told.append("off")
 
@@ -306,7 +309,7 @@ def feel(motors: Motors, seconds: float, **state) -> None:
     ("arm", "ordered", "again"),
     [
         (True, None, "arm"),  # whoever started it with --arm wants the dive to go on
-        (False, None, None),  # it was armed by somebody else, and is no business of ours
+        (False, None, "surface"),  # it was armed by an agent that has gone, and nobody asked this one for motors
         (True, "surface", None),
         (True, "off", "off"),
         (False, "arm", "arm"),
@@ -331,6 +334,55 @@ def test_an_ordered_surfacing_lasts_to_its_end() -> None:
     assert board.told == ["surface"]
     motors.obey("arm", 10**13)
     assert board.told == ["surface", "arm"]
+
+
+@pytest.mark.parametrize("armed", [True, False])
+def test_a_stop_is_said_until_the_module_has_latched(armed: bool) -> None:
+    """One that boots, or that no stop has reached, is off but would let itself be armed."""
+    board = Board()
+    motors = Motors(board, False)
+    motors.obey("off", 10**12)
+    feel(motors, 1.6, armed=armed, ladder=OK)
+    assert board.told == ["off"] * (1 + int(1.55e9 / AGAIN_NS))
+    feel(motors, 3.0, armed=False, ladder=LATCHED)
+    assert len(board.told) == 1 + int(1.55e9 / AGAIN_NS)
+
+
+@pytest.mark.parametrize("ordered", ["off", "surface"])
+def test_a_module_that_says_nothing_is_told_again(ordered: str) -> None:
+    """Its answers are lost, perhaps, and set-points keep it from surfacing by itself."""
+    board = Board()
+    motors = Motors(board, False)
+    motors.obey(ordered, 10**12)
+    for step in range(32):
+        motors.feel((), 10**12 + step * 50_000_000)
+    assert board.told == [ordered] * (1 + int(1.55e9 / AGAIN_NS))
+
+
+def test_motors_that_nobody_asked_for_are_sent_up_and_an_order_calls_them_back() -> None:
+    board = Board()
+    motors = Motors(board, False)
+    feel(motors, 1.0, armed=False, ladder=OK)
+    assert not board.told and motors.fault() is None
+    feel(motors, 0.2, armed=True, ladder=OK)
+    assert board.told == ["surface"] and "without --arm" in motors.fault()
+    motors.obey("arm", 2 * 10**12)
+    assert board.told == ["surface", "arm"] and motors.fault() is None
+
+
+def test_an_order_to_arm_that_came_to_nothing_is_over() -> None:
+    """Who pushes home a plug a minute later has a hand there."""
+    board = Board()
+    motors = Motors(board, False)
+    motors.obey("arm", 10**12)
+    feel(motors, ARM_WITHIN_NS * 1e-9 - 0.1, armed=False, ladder=OK)
+    assert board.told == ["arm"] and motors.fault() is None
+    motors.feel((), 10**12 + ARM_WITHIN_NS + 1)  # it need not have been heard
+    assert board.told == ["arm", "disarm"] and "order: arm" in motors.fault()
+    motors.obey("arm", 2 * 10**12)
+    motors.feel((telemetry(0, armed=True, ladder=OK),), 2 * 10**12 + 10**9)
+    feel(motors, 20.0, armed=True, ladder=OK)
+    assert board.told == ["arm", "disarm", "arm"] and motors.fault() is None
 
 
 @pytest.mark.parametrize(("ordered", "ladder"), [("off", OK), ("surface", OK), ("surface", HOLD)])
