@@ -28,6 +28,7 @@ from tests.fuzz.decoder import MSGPACK, Decoder
 from tests.fuzz.kernel.swarm import Scene, fleet_of
 from tests.fuzz.values import integer, of_type
 from tests.network.scripted_agent import CALIBRATION
+from tests.sample_messages import telemetry
 
 LIMITS = {Image: topics.IMAGE.limit, step_io.Inputs: 10**6, step_io.Outputs: 10**6}  # bytes, where not the usual one
 WILDS = (0.0, 0.01, 0.05, 0.3)
@@ -79,7 +80,7 @@ def _codec(kind: type[Message], payload: bytes) -> None:
 
 def _order(agent: Agent, payload: bytes) -> None:
     ordered = step_io.Ordered(arrived_ns=1, console="ann", payload=payload)
-    agent.operator.take((ordered,), 10**9)
+    agent.operator.take((ordered,), telemetry(10**9, depth_m=0.0), 10**9)
     before = step_io.Outputs(set_point=step_io.SetPoint(depth_m=0.4))
     (answer,) = agent.operator.complete(before, (ordered,), 10**9).answers
     assert len(encode(answer)) <= topics.ANSWER.limit, "an answer that nobody takes in"
