@@ -151,17 +151,18 @@ class Motors:
         return GIVEN_UP if given_up else None
 
     def _undone(self, newest: Telemetry | None, now_ns: int) -> bool:
-        """Whether the module does not do what is wanted, or it is not known that it does."""
+        """Whether the module does not do what is wanted; one that says nothing may not have heard of it."""
+        if newest is None:
+            return self._wish in ("off", "surface", "found on") and now_ns - self._heard_ns >= AGAIN_NS
         match self._wish:
-            case "never armed" | "given up":
-                return False
-            case "arm":
-                return newest is not None and surfacing_for_silence(newest)
             case "off":
-                done = newest is not None and newest.ladder == LATCHED
+                return bool(newest.ladder != LATCHED)
+            case "surface" | "found on":
+                return newest.armed and newest.ladder < SURFACE
+            case "arm":
+                return surfacing_for_silence(newest)
             case _:
-                done = newest is not None and (newest.ladder >= SURFACE or not newest.armed)
-        return not done and (newest is not None or now_ns - self._heard_ns >= AGAIN_NS)
+                return False
 
     def _wish_for(self, wish: Wish, now_ns: int) -> None:
         self._wish = wish

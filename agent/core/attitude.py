@@ -66,18 +66,22 @@ class AttitudeLog(Revertible):
         newest_ns = self._log[-1].t_ns if self._log else since_ns
         return now_ns - newest_ns > FRESH_NS
 
+    def heard(self, now_ns: int) -> Telemetry | None:
+        """The newest telemetry; None: the module is silent."""
+        return None if self.silent(now_ns, 0) else self.newest
+
     def obeys(self, now_ns: int) -> bool:
         """Whether forces act: the module is armed and not in failsafe.
 
         It refuses to arm while it is asked for forces, and none act while it has taken over.
         """
-        newest = self.newest
-        return newest is not None and not self.silent(now_ns, 0) and newest.armed and newest.ladder == 0
+        newest = self.heard(now_ns)
+        return newest is not None and newest.armed and newest.ladder == 0
 
     def now(self, now_ns: int) -> Attitude | None:
         """By the newest telemetry; None: the module is silent."""
-        newest = self.newest
-        return None if newest is None or self.silent(now_ns, 0) else self.at(newest.t_ns - LATE_NS)
+        newest = self.heard(now_ns)
+        return None if newest is None else self.at(newest.t_ns - LATE_NS)
 
     def at(self, t_ns: int) -> Attitude | None:
         """Linear between the two frames that tell of about that time; None where there are none near."""

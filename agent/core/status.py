@@ -111,7 +111,7 @@ class Status(Revertible):
             pan_deg=gimbal_deg[0],
             tilt_deg=gimbal_deg[1],
             focus=self._lens_position,
-            armed=telemetry.armed if telemetry and not attitude.silent(now_ns, self._started_ns) else None,
+            armed=heard.armed if (heard := attitude.heard(now_ns)) else None,
             battery_v=round(telemetry.battery_v, 2) if telemetry else UNSET,
             ladder=telemetry.ladder if telemetry else UNSET,
             **module_state(telemetry, attitude.status),

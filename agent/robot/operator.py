@@ -2,8 +2,8 @@
 
 No two clocks are compared: an order says which State of the robot was looked at, by the robot's own stamp. One that
 goes by a State of three seconds ago or of an earlier start is refused. A stop, in whatever words, is never refused for
-its age, and no arm that was on its way undoes it. What concerns the motors is done only where the control module is
-heard: a stop goes out all the same, and is answered by what is not known.
+its age, and no arm that was on its way undoes it. While the control module is silent an arm is refused, and a stop goes
+out but is not called done.
 """
 
 from __future__ import annotations

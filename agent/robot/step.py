@@ -105,8 +105,7 @@ class Agent(Revertible):
         self.measuring.trust(inputs.keys)
         self.inbox.receive(inputs.heard, inputs.refused, self.status, now_ns)
         self.attitude.extend(inputs.telemetry)
-        module = None if self.attitude.silent(now_ns, 0) else self.attitude.newest
-        self.operator.take(inputs.orders, module, now_ns)
+        self.operator.take(inputs.orders, self.attitude.heard(now_ns), now_ns)
         self.target_search.see(inputs.telemetry, inputs.sightings, self._situation.light)
         level, camera, orders = self.attitude.now(now_ns), self.target_search.view(now_ns), self.operator.overrides
         situation = replace(self._situation, now_ns=now_ns, level=level, camera=camera, orders=orders)
