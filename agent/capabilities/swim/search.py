@@ -4,8 +4,10 @@ part of the tank.
 That part is its Voronoi cell among the robots that search with it, drawn in by what is kept clear of walls (Cortes,
 Martinez, Karatas and Bullo, Coverage control for mobile sensing networks, IEEE Trans. Robotics and Automation 20(2),
 2004). It is cut when the robot begins and again when another begins or falls silent, not while all swim on: lanes that
-moved along with all robots would never end. The camera looks all around meanwhile (SearchPattern). A robot that has the
-target in view waits where it is, for a sweep wants a robot at rest.
+moved along with all robots would never end. What these robots have passed in this round is not swum again: a link
+that drops now and then would have each begin for ever. An end that a robot cannot reach is left out. The camera looks
+all around meanwhile (SearchPattern). A robot that has the target in view waits where it is, for a sweep wants a robot
+at rest.
 
 `Surroundings` is what Follow and Survey go by as well.
 """
@@ -104,9 +106,12 @@ def cell(here_m: Planar, others_m: Sequence[Planar], tank_m: Planar) -> Polygon:
     return part
 
 
-def lanes(part: Polygon, lane_m: float, here_m: Planar, crosswise: bool = False) -> tuple[Planar, ...]:
+def lanes(
+    part: Polygon, lane_m: float, here_m: Planar, crosswise: bool = False, passed: Squares = frozenset()
+) -> tuple[Planar, ...]:
     """Ends of lanes along the longer side of a part, or across it, in the order in which they are swum, to and fro,
     from the end that is nearest. From a lane a robot sees half of lane_m to either side, and so much beyond its ends.
+    passed: where robots have looked from already; what they saw of a lane at either end of it is left out.
     """
     if len(part) < 3:
         return ()
@@ -120,7 +125,35 @@ def lanes(part: Polygon, lane_m: float, here_m: Planar, crosswise: bool = False)
         low, high = _crossing(part, along, level)
         trim = min(0.5 * lane_m, 0.5 * (high - low))
         found.append((_at(along, low + trim, level), _at(along, high - trim, level)))
-    return _to_and_fro(found, here_m)
+    left = [lane for each in found if (lane := _unseen(*each, lane_m, passed)) is not None]
+    return _to_and_fro(left, here_m) if left else ()
+
+
+# A round remembers the squares of water that robots have passed.
+Squares = frozenset[tuple[int, int]]
+SQUARE = 0.25  # of lane_m
+# Squares from which half of lane_m reaches into one.
+ABOUT = tuple((i, j) for i in range(-2, 3) for j in range(-2, 3) if math.hypot(i, j) * SQUARE <= 0.5)
+
+
+def square(place_m: Planar, lane_m: float) -> tuple[int, int]:
+    """The one that it is in."""
+    side_m = SQUARE * lane_m
+    return math.floor(place_m[0] / side_m), math.floor(place_m[1] / side_m)
+
+
+def _unseen(a: Planar, b: Planar, lane_m: float, passed: Squares) -> tuple[Planar, Planar] | None:
+    """What is left of a lane, from the first place to the last that no robot has passed nearby; None: nothing."""
+    if not passed:
+        return a, b
+    count = max(math.ceil(math.dist(a, b) / (SQUARE * lane_m)), 1)
+    places = [(a[0] + k / count * (b[0] - a[0]), a[1] + k / count * (b[1] - a[1])) for k in range(count + 1)]
+    left = []
+    for place in places:
+        i, j = square(place, lane_m)
+        if not any((i + east, j + north) in passed for east, north in ABOUT):
+            left.append(place)
+    return (left[0], left[-1]) if left else None
 
 
 def _to_and_fro(found: Sequence[tuple[Planar, Planar]], here_m: Planar) -> tuple[Planar, ...]:
@@ -170,6 +203,17 @@ REACHED_M = 0.06  # of an end of a lane: a robot need not be there exactly
 MIDDLE_M = 0.3  # of the tank: nearer, it is on no side
 TURNS_RAD_S = 0.3  # what a frame showed 0.2 s ago is still in view when that is known
 WAITS_NS = 2_500_000_000  # after the target was in view: for so long the gimbal turns to it, and looks
+# An end of a lane that it comes no nearer to, by so much in such a time, is left out: a robot holds there, say.
+NEARER_M, GIVES_UP_NS = 0.05, 15_000_000_000
+ELSEWHERE_NS = 500_000_000  # several steps in which it was not on its way: that time does not count
+
+
+class Approach(NamedTuple):
+    """To the end of a lane."""
+
+    nearest_m: float = math.inf
+    nearer_ns: int = 0  # when it came so near
+    asked_ns: int = 0
 
 
 class Hunt(NamedTuple):
@@ -179,6 +223,8 @@ class Hunt(NamedTuple):
     next: int = 0
     split: int = 0  # among how many the tank was divided
     crosswise: bool = False  # the lanes of every second round
+    passed: Squares = frozenset()  # by all that search, in this round
+    approach: Approach = Approach()
     waits_m: Planar | None = None  # where it stopped, to look or to measure
     seen_ns: int | None = None  # when the target was last in view
     done: bool = False
@@ -202,7 +248,10 @@ def search(
             x, y = around.target.x_m[0] - here[0], around.target.x_m[1] - here[1]
             yaw = facing(yaw, math.atan2(y, x))
         return Reference(hunt.waits_m or here, yaw), hunt
-    hunt = _next(what, hunt._replace(waits_m=None), here, around)
+    hunt = _onwards(hunt._replace(waits_m=None), here, now_ns)
+    if not hunt.passed.issuperset(been := {square(place, what.lane_m) for place in (here, *around.fellows_m)}):
+        hunt = hunt._replace(passed=hunt.passed | been)
+    hunt = _with_goal(what, hunt, here, around)
     goal = hunt.way[hunt.next]
     if around.swims:  # it may come from anywhere: the wall behind the robot is where it is not
         ahead_m, least_m = (0.5 * around.tank_m[0], 0.5 * around.tank_m[1]), MIDDLE_M
@@ -213,15 +262,26 @@ def search(
     return Reference(goal, yaw, most_m_s=what.speed_m_s, most_rad_s=TURNS_RAD_S), hunt
 
 
-def _next(what: Search, hunt: Hunt, here: Planar, around: Surroundings) -> Hunt:
-    """With a goal that is not reached yet; a new way where there is none, or others divide the tank."""
+def _onwards(hunt: Hunt, here: Planar, now_ns: int) -> Hunt:
+    """With the next goal once one is reached, or cannot be."""
+    if hunt.next == len(hunt.way):
+        return hunt
+    off_m, approach = math.dist(hunt.way[hunt.next], here), hunt.approach
+    if now_ns - approach.asked_ns > ELSEWHERE_NS or off_m < approach.nearest_m - NEARER_M:
+        approach = Approach(off_m, now_ns)
+    if off_m < REACHED_M or now_ns - approach.nearer_ns > GIVES_UP_NS:
+        return hunt._replace(next=hunt.next + 1, approach=Approach())
+    return hunt._replace(approach=approach._replace(asked_ns=now_ns))
+
+
+def _with_goal(what: Search, hunt: Hunt, here: Planar, around: Surroundings) -> Hunt:
+    """With a new way where there is none, or others divide the tank."""
     split = len(around.fellows_m) + 1
-    if hunt.next < len(hunt.way) and math.dist(hunt.way[hunt.next], here) < REACHED_M:
-        hunt = hunt._replace(next=hunt.next + 1)
     if hunt.next < len(hunt.way) and hunt.split == split:
         return hunt
-    if hunt.way and hunt.next == len(hunt.way):  # all seen, and nothing found: now from other sides
-        hunt = hunt._replace(crosswise=not hunt.crosswise)
-    part = cell(here, around.fellows_m, around.tank_m)
-    ways = lanes(part, what.lane_m, here, crosswise=hunt.crosswise)
-    return hunt._replace(way=ways or (within_walls(here, around.tank_m),), next=0, split=split)
+    part, begins = cell(here, around.fellows_m, around.tank_m), not hunt.way
+    ends = () if begins or hunt.next == len(hunt.way) else lanes(part, what.lane_m, here, hunt.crosswise, hunt.passed)
+    if not ends:  # all seen, and nothing found: now from other sides
+        hunt = hunt._replace(passed=frozenset(), crosswise=not begins and not hunt.crosswise)
+        ends = lanes(part, what.lane_m, here, hunt.crosswise)
+    return hunt._replace(way=ends or (within_walls(here, around.tank_m),), next=0, split=split, approach=Approach())

@@ -140,6 +140,54 @@ def test_it_is_done_once_anybody_knows_and_stays_so() -> None:
     assert to.done and to.place_m == HERE[:2]
 
 
+def seen_share(places, lane_m) -> float:
+    """Of the tank's water, by robots that were there."""
+    inner = np.array([(x, y) for x in np.arange(0.25, 5.8, 0.1) for y in np.arange(0.25, 3.8, 0.1)])
+    seen = np.zeros(len(inner), dtype=bool)
+    for place in places:
+        seen |= np.hypot(*(inner - place).T) <= 0.5 * lane_m * math.sqrt(2.0)
+    return float(seen.mean())
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+def test_a_link_that_drops_now_and_then_does_not_make_them_begin_again(seed) -> None:
+    tank_m, h_ns = (6.0, 4.0), 250_000_000
+    at = [tuple(p) for p in np.random.default_rng(seed).uniform((0.3, 0.3), (5.7, 3.7), (2, 2)).tolist()]
+    progress, passed = [start((*p, 0.0), 0.0, S) for p in at], list(at)
+    for now_ns in range(S, 480 * S, h_ns):
+        linked, goals = now_ns % (20 * S) < 15 * S, []
+        for k, (x, y) in enumerate(at):
+            told = Surroundings(tank_m, 0.25, fellows_m=(at[1 - k],) if linked else ())
+            to, progress[k] = reference(WHAT, progress[k], (x, y, 0.0), now_ns, None, told)
+            goals.append(to.place_m)
+        at = [towards(p, goal, WHAT.speed_m_s * h_ns * 1e-9) for p, goal in zip(at, goals, strict=True)]
+        passed += at
+    assert seen_share(passed, LANE_M) > 0.99
+
+
+def towards(p, goal, way_m):
+    share = min(way_m / max(math.dist(p, goal), 1e-9), 1.0)
+    return p[0] + share * (goal[0] - p[0]), p[1] + share * (goal[1] - p[1])
+
+
+def test_an_end_that_it_cannot_reach_is_left_out() -> None:
+    """Another robot holds there; the time of a sweep does not count."""
+    to, progress = reference(WHAT, start(HERE, 0.0, S), HERE, S, None, around())
+    ends, now_ns = progress.hunt.way, S
+    pose = (ends[0][0] + 0.34, ends[0][1], 0.0)
+    for _ in range(140):
+        now_ns += S // 10
+        to, progress = reference(WHAT, progress, pose, now_ns, None, around())
+        assert to.place_m == ends[0]
+    now_ns += 60 * S
+    to, progress = reference(WHAT, progress, pose, now_ns, None, around())
+    assert to.place_m == ends[0]
+    for _ in range(152):
+        now_ns += S // 10
+        to, progress = reference(WHAT, progress, pose, now_ns, None, around())
+    assert to.place_m == ends[1] and progress.hunt.way == ends
+
+
 # --- whole ----------------------------------------------------------------------------------------------------------
 
 
