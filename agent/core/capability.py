@@ -134,9 +134,7 @@ class TargetView(NamedTuple):
     """What the robot knows of one target."""
 
     name: str
-    believed: (
-        Posterior | None
-    )  # None as well of one that is neither watched (from propose on) nor what a behaviour is about
+    believed: Posterior | None  # None as well of one that a moored robot does not watch (from propose on)
     by_others: Posterior | None = None  # where all but this robot see it; of the target that aids the own pose
     estimate: TargetEstimate | None = None  # what the fleet agrees on; of the target of the behaviour
 

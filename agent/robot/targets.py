@@ -233,11 +233,11 @@ class Targets(Revertible):
         self._turned = self.watched != before
 
     def views(self, own: OwnView | None, watched: Collection[str], now_ns: int) -> tuple[TargetView, ...]:
-        """What is known of each now, in full of those that are watched and of what the own behaviour is about."""
+        """What is known of each now: for a moored robot, of those that are watched."""
         return tuple(self._view(each, own, watched, now_ns) for each in self.all.values())
 
     def _view(self, target: TargetState, own: OwnView | None, watched: Collection[str], now_ns: int) -> TargetView:
-        asked = target.name in watched or (own is not None and own.about == target.name)
+        asked = target.name in watched or own is not None
         return TargetView(
             target.name,
             target.estimator.posterior if asked else None,

@@ -84,12 +84,9 @@ def follow(
 ) -> tuple[Reference, Pursuit]:
     """Where the robot shall be now, of a target that it knows. yaw: that it held until now, rad."""
     at_m, velocity = target.x_m[:2], velocity_m_s(target, now_ns)
-    swims = ALONG * velocity[0], ALONG * velocity[1]
-    pace = math.hypot(*swims)
-    if pace > around.speed_m_s:
-        swims = swims[0] * around.speed_m_s / pace, swims[1] * around.speed_m_s / pace
+    swims = slowed((ALONG * velocity[0], ALONG * velocity[1]), around.speed_m_s)
     place, side = place_around(at_m, what.standoff_m, pose, around, 0.0 if pursuit is None else pursuit.side)
-    most_m_s = max(min(around.speed_m_s - pace, SURE_1_S * (what.standoff_m - target.sigma_m)), 0.0)
+    most_m_s = max(min(around.speed_m_s - math.hypot(*swims), SURE_1_S * (what.standoff_m - target.sigma_m)), 0.0)
     bearing = math.atan2(at_m[1] - pose[1], at_m[0] - pose[0])
     to = Reference(
         place,
@@ -197,7 +194,7 @@ class Stage(NamedTuple):
     yaw: float = 0.0  # at the start of a turn
 
 
-def trial(what: Trial, stage: Stage, pose: Vector, now_ns: int) -> tuple[Reference, Stage]:
+def trial(what: Trial, stage: Stage, pose: Vector, most_m_s: float, now_ns: int) -> tuple[Reference, Stage]:
     """Where the robot shall be now; without legs left it stays in the middle, and is done."""
     stage = _next(what, stage, pose, now_ns)
     middle, heading = (what.x_m, what.y_m), math.radians(what.yaw_deg)
@@ -212,7 +209,7 @@ def trial(what: Trial, stage: Stage, pose: Vector, now_ns: int) -> tuple[Referen
     yaw = heading + (QUARTER if leg.sideways else 0.0)
     if not stage.runs and not stage.coasts:
         return Reference((what.x_m - leg.way * what.half_m * c, what.y_m - leg.way * what.half_m * s), yaw), stage
-    along, v = _along(what, pose), leg.way * leg.share * what.speed_m_s
+    along, v = _along(what, pose), leg.way * min(leg.share * what.speed_m_s, most_m_s)
     at = what.x_m + along * c, what.y_m + along * s  # abreast of the robot: it is late for nothing
     return Reference(at, yaw, (v * c, v * s), coast=stage.coasts), stage
 
@@ -258,19 +255,22 @@ THERE_M, THERE_RAD, THERE_NS = 0.02, math.radians(2.0), 1_000_000_000  # arrived
 NEAR_M = 0.10  # to the goal: the way has no direction any more
 MOST_TURNED_RAD = 2.0 * math.pi  # either way
 SLACK_RAD = math.radians(10.0)  # an orbit turns round so far before that, for the body lags and swings
+ON_ORBIT = 0.8  # of what it may swim at: the rest brings it back to the circle
+ELSEWHERE_NS = 500_000_000  # several steps in which something else had the body: that time does not count
 STRIDE_RAD = math.radians(90.0)  # of a reference ahead of the body: which way round stays clear
 
 
 class Progress(NamedTuple):
     """What a behaviour remembers between steps."""
 
-    since_ns: int
+    asked_ns: int  # at the step before
     from_m: Planar  # where it started, or what it holds
     yaw: float  # to keep where the behaviour says nothing of yaw, rad
     turned: float  # by how much the body is turned since it was put into the water, rad, over all turns
     heading: float  # the yaw that `turned` was last counted at
     turned_first: float  # `turned` at the start
     there_ns: int | None = None  # since when it is where it shall be
+    way: float = 0.0  # along an orbit, rad
     stage: Stage = Stage()  # of a trial
     pursuit: Pursuit | None = None  # of a target that is followed
     hunt: Hunt = Hunt()  # for a target that is not known
@@ -288,54 +288,53 @@ def reference(
     progress: Progress,
     pose: Vector,
     now_ns: int,
+    around: Surroundings,
     watched_m: Planar | None = None,
-    around: Surroundings | None = None,
-    tank_m: Planar | None = None,
 ) -> tuple[Reference, Progress]:
     """Where the robot shall be now. watched_m: the target, which Goto faces unless it was given a yaw. Hold turns off
-    its yaw as far as the gimbal needs, to keep the target in sight: the gimbal first, then the body. around: what
-    Follow and Search go by. tank_m: length and breadth; a robot that is free to choose its
-    yaw looks at no near wall.
+    its yaw as far as the gimbal needs, to keep the target in sight: the gimbal first, then the body. A robot that is
+    free to choose its yaw looks at no near wall.
     """
-    turned = progress.turned + wrap(pose[2] - progress.heading)
-    progress = progress._replace(turned=turned, heading=pose[2])
+    turned, passed_ns = progress.turned + wrap(pose[2] - progress.heading), now_ns - progress.asked_ns
+    passed_ns = passed_ns if passed_ns < ELSEWHERE_NS else 0
+    progress = progress._replace(turned=turned, heading=pose[2], asked_ns=now_ns)
     match what:
         case Hold():
             to = Reference(progress.from_m, in_sight(progress.yaw, pose, watched_m))
         case Turn():
             to = Reference(progress.from_m, math.radians(what.yaw_deg))
         case Goto():
-            progress = progress._replace(yaw=_yaw_of_way(what, progress, pose, watched_m, tank_m))
+            progress = progress._replace(yaw=_yaw_of_way(what, progress, pose, watched_m, around.tank_m))
             to = Reference((what.x_m, what.y_m), progress.yaw, depth_m=what.depth_m)
         case Orbit():
-            to = _on_orbit(what, progress, now_ns)
+            to, way = _on_orbit(what, progress, around.speed_m_s, passed_ns)
+            progress = progress._replace(way=way)
         case Trial():
-            to, stage = trial(what, progress.stage, pose, now_ns)
+            to, stage = trial(what, progress.stage, pose, around.speed_m_s, now_ns)
             progress = progress._replace(stage=stage)
         case Survey():
-            if around is not None and around.station is not None:
+            if around.station is not None:
                 progress = progress._replace(from_m=around.station[0], yaw=around.station[1])
             to = Reference(progress.from_m, progress.yaw)
         case Follow() | Search():
-            assert around is not None
-            to, progress = _about_a_target(what, progress, pose, around, now_ns)
+            to, progress = _about_a_target(what, progress, pose, around, now_ns, passed_ns)
     there_ns = _there_since(to, progress, pose, now_ns) if isinstance(what, Goto | Turn) else None
     done = to.done or (there_ns is not None and now_ns - there_ns >= THERE_NS)
     return to._replace(yaw=unwound(to.yaw, pose[2], turned), done=done), progress._replace(there_ns=there_ns)
 
 
-def effective(what: Behaviour, hunt: Hunt, around: Surroundings | None, now_ns: int) -> Behaviour:
+def effective(what: Behaviour, hunt: Hunt, around: Surroundings, now_ns: int) -> Behaviour:
     """What is in effect: Follow searches for a target that no robot knows, where it is told to, and else holds; Search
     holds once it is done."""
-    if isinstance(what, Follow) and around is not None and not knows(what, around, now_ns):
+    if isinstance(what, Follow) and not knows(what, around, now_ns):
         what = Search(target=what.target) if what.search else Hold()
-    if isinstance(what, Search) and around is not None and hunt.over(around, now_ns):
+    if isinstance(what, Search) and hunt.over(around, now_ns):
         return Hold()
     return what
 
 
 def _about_a_target(
-    what: Follow | Search, progress: Progress, pose: Vector, around: Surroundings, now_ns: int
+    what: Follow | Search, progress: Progress, pose: Vector, around: Surroundings, now_ns: int, passed_ns: int
 ) -> tuple[Reference, Progress]:
     match effective(what, progress.hunt, around, now_ns):
         case Follow() as told if around.target is not None:
@@ -343,7 +342,7 @@ def _about_a_target(
             to, pursuit = follow(told, target, progress.pursuit, progress.yaw, pose, around, now_ns)
             return to, progress._replace(from_m=pose[:2], yaw=to.yaw, pursuit=pursuit, hunt=Hunt())
         case Search() as told:
-            to, hunt = search(told, progress.hunt, progress.yaw, pose, around, now_ns)
+            to, hunt = search(told, progress.hunt, progress.yaw, pose, around, now_ns, passed_ns)
             return to, progress._replace(from_m=pose[:2], yaw=to.yaw, pursuit=None, hunt=hunt)
     hunt = progress.hunt._replace(done=isinstance(what, Search))
     at_m = None if around.target is None else around.target.x_m[:2]
@@ -366,36 +365,38 @@ def in_sight(yaw: float, pose: Vector, watched_m: Planar | None) -> float:
     return facing(yaw, math.atan2(watched_m[1] - pose[1], watched_m[0] - pose[0]))
 
 
-def _yaw_of_way(what: Goto, progress: Progress, pose: Vector, watched_m: Planar | None, tank_m: Planar | None) -> float:
+def _yaw_of_way(what: Goto, progress: Progress, pose: Vector, watched_m: Planar | None, tank_m: Planar) -> float:
     if what.yaw_deg is not None:
         return math.radians(what.yaw_deg)
     if watched_m is not None:
         return math.atan2(watched_m[1] - pose[1], watched_m[0] - pose[0])
     x, y = what.x_m - pose[0], what.y_m - pose[1]
     yaw = math.atan2(y, x) if math.hypot(x, y) > NEAR_M else progress.yaw
-    if tank_m is None or not (walled_in(pose[:2], yaw, tank_m) or walled_in((what.x_m, what.y_m), yaw, tank_m)):
+    if not walled_in(pose[:2], yaw, tank_m) and not walled_in((what.x_m, what.y_m), yaw, tank_m):
         return yaw
     return math.atan2(0.5 * tank_m[1] - pose[1], 0.5 * tank_m[0] - pose[0])
 
 
-def _on_orbit(what: Orbit, progress: Progress, now_ns: int) -> Reference:
-    """p = c + R (cos th, sin th), th growing by V / R; back again where the tether has had its turn."""
+def _on_orbit(what: Orbit, progress: Progress, most_m_s: float, passed_ns: int) -> tuple[Reference, float]:
+    """p = c + R (cos th, sin th), th growing by V / R; back again where the tether has had its turn. And the way."""
     east, north = progress.from_m[0] - what.x_m, progress.from_m[1] - what.y_m
     first = math.atan2(north, east)
     facing = progress.turned_first + wrap(first + math.pi - progress.yaw)  # turned by so much, once it looks inwards
     if abs(facing) > MOST_TURNED_RAD:  # it has come there on the long way
         facing -= math.copysign(2.0 * math.pi, facing)
-    most, rate = MOST_TURNED_RAD - SLACK_RAD, what.speed_m_s / what.radius_m
-    way, sign = _to_and_fro(rate * (now_ns - progress.since_ns) * 1e-9, -most - facing, most - facing)
+    speed_m_s = math.copysign(min(abs(what.speed_m_s), ON_ORBIT * most_m_s), what.speed_m_s)
+    most, swum = MOST_TURNED_RAD - SLACK_RAD, progress.way + speed_m_s / what.radius_m * passed_ns * 1e-9
+    way, sign = _to_and_fro(swum, -most - facing, most - facing)
     c, s = math.cos(first + way), math.sin(first + way)
-    v, pull = sign * what.speed_m_s, what.speed_m_s * what.speed_m_s / what.radius_m
-    return Reference(
+    v, pull = sign * speed_m_s, speed_m_s * speed_m_s / what.radius_m
+    to = Reference(
         (what.x_m + what.radius_m * c, what.y_m + what.radius_m * s),
         wrap(first + way + math.pi),
         (-v * s, v * c),
         (-pull * c, -pull * s),
-        sign * rate,
+        v / what.radius_m,
     )
+    return to, swum
 
 
 def _to_and_fro(way: float, lowest: float, highest: float) -> tuple[float, float]:
@@ -440,11 +441,16 @@ LEAD = 1.4  # hurries the thrusters' lag; more makes noise of it
 def wanted_velocity(belief: Belief, to: Reference) -> Planar:
     """v_d, before the barrier."""
     gain = W_RAD_S / (2.0 * Z)
-    x, y = gain * (to.place_m[0] - belief.x[0]), gain * (to.place_m[1] - belief.x[1])
-    speed = math.sqrt(x * x + y * y)
-    if speed > to.speed_m_s:
-        x, y = x * to.speed_m_s / speed, y * to.speed_m_s / speed
+    off = gain * (to.place_m[0] - belief.x[0]), gain * (to.place_m[1] - belief.x[1])
+    x, y = slowed(off, to.speed_m_s)
     return x + to.velocity_m_s[0], y + to.velocity_m_s[1]
+
+
+def slowed(velocity_m_s: Planar, most_m_s: float) -> Planar:
+    """That way, at most so fast."""
+    x, y = velocity_m_s
+    speed = math.sqrt(x * x + y * y)
+    return velocity_m_s if speed <= most_m_s else (x * most_m_s / speed, y * most_m_s / speed)
 
 
 def wrench(belief: Belief, hull: Hull, to: Reference, velocity_m_s: Planar) -> Wrench:

@@ -18,7 +18,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.capabilities.swim.barrier import MARGIN_M, STILL, WALL_M, Planar, Reference
+from agent.capabilities.swim.barrier import MARGIN_M, SPEED_M_S, STILL, WALL_M, Planar, Reference
 from agent.core.config import Search
 from agent.core.linear_algebra import wrap
 from agent.core.messages import Vector
@@ -53,7 +53,7 @@ class Surroundings(NamedTuple):
     """At one moment."""
 
     tank_m: Planar  # length and breadth
-    speed_m_s: float  # that the robot may swim at
+    speed_m_s: float = SPEED_M_S  # that the robot may swim at
     velocity_m_s: Planar = STILL  # at which it swims now, world frame
     target: TargetEstimate | None = None  # None: no robot ever said where it is
     swims: bool = False  # the target that it is about, by itself
@@ -205,15 +205,13 @@ TURNS_RAD_S = 0.3  # what a frame showed 0.2 s ago is still in view when that is
 WAITS_NS = 2_500_000_000  # after the target was in view: for so long the gimbal turns to it, and looks
 # An end of a lane that it comes no nearer to, by so much in such a time, is left out: a robot holds there, say.
 NEARER_M, GIVES_UP_NS = 0.05, 15_000_000_000
-ELSEWHERE_NS = 500_000_000  # several steps in which it was not on its way: that time does not count
 
 
 class Approach(NamedTuple):
     """To the end of a lane."""
 
     nearest_m: float = math.inf
-    nearer_ns: int = 0  # when it came so near
-    asked_ns: int = 0
+    in_vain_ns: int = 0  # for so long it has come no nearer
 
 
 class Hunt(NamedTuple):
@@ -235,9 +233,10 @@ class Hunt(NamedTuple):
 
 
 def search(
-    what: Search, hunt: Hunt, yaw: float, pose: Vector, around: Surroundings, now_ns: int
+    what: Search, hunt: Hunt, yaw: float, pose: Vector, around: Surroundings, now_ns: int, passed_ns: int
 ) -> tuple[Reference, Hunt]:
-    """Where the robot shall be now. yaw: that it held until now, rad."""
+    """Where the robot shall be now. yaw: that it held until now, rad; passed_ns: in which it searched, since the step
+    before."""
     here = pose[0], pose[1]
     if around.sees:
         hunt = hunt._replace(seen_ns=now_ns)
@@ -248,7 +247,7 @@ def search(
             x, y = around.target.x_m[0] - here[0], around.target.x_m[1] - here[1]
             yaw = facing(yaw, math.atan2(y, x))
         return Reference(hunt.waits_m or here, yaw), hunt
-    hunt = _onwards(hunt._replace(waits_m=None), here, now_ns)
+    hunt = _onwards(hunt._replace(waits_m=None), here, passed_ns)
     if not hunt.passed.issuperset(been := {square(place, what.lane_m) for place in (here, *around.fellows_m)}):
         hunt = hunt._replace(passed=hunt.passed | been)
     hunt = _with_goal(what, hunt, here, around)
@@ -262,16 +261,16 @@ def search(
     return Reference(goal, yaw, most_m_s=what.speed_m_s, most_rad_s=TURNS_RAD_S), hunt
 
 
-def _onwards(hunt: Hunt, here: Planar, now_ns: int) -> Hunt:
+def _onwards(hunt: Hunt, here: Planar, passed_ns: int) -> Hunt:
     """With the next goal once one is reached, or cannot be."""
     if hunt.next == len(hunt.way):
         return hunt
     off_m, approach = math.dist(hunt.way[hunt.next], here), hunt.approach
-    if now_ns - approach.asked_ns > ELSEWHERE_NS or off_m < approach.nearest_m - NEARER_M:
-        approach = Approach(off_m, now_ns)
-    if off_m < REACHED_M or now_ns - approach.nearer_ns > GIVES_UP_NS:
+    in_vain_ns = approach.in_vain_ns + passed_ns
+    if off_m < REACHED_M or in_vain_ns > GIVES_UP_NS:
         return hunt._replace(next=hunt.next + 1, approach=Approach())
-    return hunt._replace(approach=approach._replace(asked_ns=now_ns))
+    nearer = off_m < approach.nearest_m - NEARER_M
+    return hunt._replace(approach=Approach(off_m) if nearer else approach._replace(in_vain_ns=in_vain_ns))
 
 
 def _with_goal(what: Search, hunt: Hunt, here: Planar, around: Surroundings) -> Hunt:

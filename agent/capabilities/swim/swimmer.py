@@ -11,7 +11,7 @@ from msgspec.structs import replace
 
 from agent.capabilities.swim.barrier import SIGMAS, TARGET_M, Disc, Planar, Reference
 from agent.capabilities.swim.barrier import STILL as AT_REST
-from agent.capabilities.swim.behaviour import Progress, effective, reference, start, wanted_velocity, wrench
+from agent.capabilities.swim.behaviour import Progress, effective, reference, slowed, start, wanted_velocity, wrench
 from agent.capabilities.swim.deconfliction import Deconfliction, Neighbours, direly_unsure, pace
 from agent.capabilities.swim.landmark_look import LandmarkLook, Sure, half_picture_deg
 from agent.capabilities.swim.landmarks import markers
@@ -72,12 +72,10 @@ class ActiveBehaviour(Revertible):
         """Do what the fleet file says."""
         self.begin(self._told, self._home)
 
-    def reference(
-        self, pose: Vector, now_ns: int, watched_m: Planar | None, around: Surroundings | None, tank_m: Planar
-    ) -> Reference:
+    def reference(self, pose: Vector, now_ns: int, around: Surroundings, watched_m: Planar | None) -> Reference:
         """Where the robot shall be now."""
         before = self.progress or start(pose, self._turned(pose), now_ns, self._to)
-        to, self.progress = reference(self.behaviour, before, pose, now_ns, watched_m, around, tank_m)
+        to, self.progress = reference(self.behaviour, before, pose, now_ns, around, watched_m)
         return to
 
     def _turned(self, pose: Vector) -> float:
@@ -110,8 +108,7 @@ class TargetContext(Revertible):
     def __init__(self, fleet: Fleet, calibration: Calibration) -> None:
         assert fleet.navigation is not None
         self._fleet, self._camera, self._swims = fleet, calibration.camera, pursued(fleet)
-        self._speed_m_s = fleet.navigation.limits.speed_m_s
-        self.around: Surroundings | None = None
+        self.around = Surroundings(fleet.tank.size_m[:2])
         self.search: SearchPlan | None = None  # by which the camera looks, of a robot that searches
         self._screens: deque[Screen] = deque(maxlen=MOST_SCREENS)
         self.does: Behaviour | None = None  # what is in effect now: Follow may be searching, or waiting
@@ -122,16 +119,13 @@ class TargetContext(Revertible):
         """Once a step, before the camera is granted; depth_m: where the robot hovers."""
         now_ns, size_m = situation.now_ns, self._fleet.tank.size_m[:2]
         self.does = what
-        if isinstance(what, Survey):
-            self.around, self.search = Surroundings(size_m, self._speed_m_s, station=situation.station), None
-            return
         if not isinstance(what, Follow | Search):
-            self.around = self.search = None
+            station = situation.station if isinstance(what, Survey) else None
+            self.around, self.search = Surroundings(size_m, station=station), None
             return
         target = situation.about(what.target).estimate
         around = Surroundings(
             size_m,
-            self._speed_m_s,
             target=target,
             swims=what.target in self._swims,
             sees=situation.camera.sees(what.target),
@@ -172,7 +166,7 @@ class TargetContext(Revertible):
 
     def disc(self, now_ns: int) -> Disc | None:
         """The target, to keep clear of. The robot does not flee from where it only may be."""
-        if self.around is None or (target := self.around.target) is None:
+        if (target := self.around.target) is None:
             return None
         at_m, velocity = target.x_m[:2], velocity_m_s(target, now_ns)
         return Disc(at_m, TARGET_M, velocity, strays_m=SIGMAS * target.sigma_m, flees=self.around.swims)
@@ -257,7 +251,6 @@ class Swimmer(Revertible):
         assert fleet.landmarks is not None and fleet.navigation is not None  # a rule of the fleet file
         robot, self.deconfliction, self._attitude = fleet.robot[name], Deconfliction(fleet, name, incarnation), attitude
         self._limits, self.active = fleet.navigation.limits, ActiveBehaviour(robot)
-        self._tank_m = fleet.tank.size_m[0], fleet.tank.size_m[1]
         self._swims, self._budget = pursued(fleet), fleet.budget
         self._depth_m = robot.depth_m
         self._target_context = TargetContext(fleet, calibration)
@@ -376,7 +369,7 @@ class Swimmer(Revertible):
     @property
     def fellows_m(self) -> tuple[Planar, ...]:
         """Where those are that do the same about the same target."""
-        return () if self._target_context.around is None else self._target_context.around.fellows_m
+        return self._target_context.around.fellows_m
 
     def hidden(self, at_m: Vector, now_ns: int) -> None:
         """The target that is there is not in sight from here."""
@@ -448,12 +441,10 @@ class Swimmer(Revertible):
 
     def behave(self, situation: Situation) -> BodyAct | None:
         """Do what it is told; not while light is lent: that stays where it is."""
-        here, watched_m = self.localizer.at(situation.now_ns), situation.target.believed_m
+        here = self.localizer.at(situation.now_ns)
         if here is None or not self.under_way or self._still is not None:
             return None
-        target_m = None if watched_m is None else (watched_m[0], watched_m[1])
-        now_ns = situation.now_ns
-        return self._asked(self._towards(here, self.here or here, target_m, now_ns), now_ns)
+        return self._asked(self._towards(here, self.here or here, situation), situation.now_ns)
 
     def stay(self, situation: Situation) -> BodyAct | None:
         """Stay where it is, but out of the way of others."""
@@ -483,23 +474,31 @@ class Swimmer(Revertible):
         velocity = self.deconfliction.velocity(wanted_velocity(by, to), by, to, (), now_ns)
         return wrench(by, self.localizer.hull, to, velocity)
 
-    def _towards(self, own: Belief, by: Belief, watched_m: Planar | None, now_ns: int) -> Wrench:
+    def _towards(self, own: Belief, by: Belief, situation: Situation) -> Wrench:
         """own: where it goes is said, and what is said has nothing in it that was heard; by: how it gets there."""
-        around = self._target_context.around and self._target_context.around._replace(velocity_m_s=(own.x[3], own.x[4]))
-        to = self.active.reference(own.pose, now_ns, watched_m, around, self._tank_m)
+        now_ns, limits, share, context = situation.now_ns, self._limits, pace(by), self._target_context
+        most_m_s, most_rad_s = share * limits.speed_m_s, share * math.radians(limits.turn_deg_s)
+        around = context.around._replace(velocity_m_s=(own.x[3], own.x[4]), speed_m_s=most_m_s)
+        watched_m = situation.target.believed_m
+        to = self.active.reference(own.pose, now_ns, around, None if watched_m is None else watched_m[:2])
         if to.coast:
             return STILL
-        share, turn_rad_s = pace(by), min(math.radians(self._limits.turn_deg_s), to.most_rad_s)
-        turns = 0.0 if self._at_landmarks else share  # the gimbal would look past the landmarks
-        most_m_s = min(self._limits.speed_m_s, to.most_m_s)
-        to = to._replace(speed_m_s=share * most_m_s, turn_rad_s=turns * turn_rad_s)
+        rate_rad_s = min(max(to.rate_rad_s, -most_rad_s), most_rad_s)
+        turns = 0.0 if self._at_landmarks else 1.0  # the gimbal would look past the landmarks
+        turn_rad_s = turns * min(most_rad_s - abs(rate_rad_s), to.most_rad_s)
+        to = to._replace(speed_m_s=min(most_m_s, to.most_m_s), rate_rad_s=rate_rad_s, turn_rad_s=turn_rad_s)
         if to.depth_m is not None:
             self._depth_m = to.depth_m
-        things = () if watched_m is None else (Disc(watched_m, TARGET_M),)
-        if (followed := self._target_context.disc(now_ns)) is not None:
-            things = (followed,)
-        velocity = self.deconfliction.velocity(wanted_velocity(by, to), by, to, things, now_ns)
+        wanted = slowed(wanted_velocity(by, to), most_m_s)
+        velocity = self.deconfliction.velocity(wanted, by, to, self._targets(situation), now_ns)
         return wrench(by, self.localizer.hull, to, velocity)
+
+    def _targets(self, situation: Situation) -> tuple[Disc, ...]:
+        """All targets whose places are known, to keep clear of."""
+        followed, name = self._target_context.disc(situation.now_ns), self.about
+        known = ((each.name, each.believed_m) for each in situation.targets)
+        others = (Disc(at_m[:2], TARGET_M) for each, at_m in known if at_m is not None and each != name)
+        return (*others,) if followed is None else (followed, *others)
 
     def say(self, attitude: AttitudeLog, now_ns: int) -> tuple[Presence, ...]:
         """Where it is or may be, and where it goes, to each neighbour; nothing before it has found itself."""

@@ -40,8 +40,8 @@ def around(target=None, **more):
 
 def told(pose, target, what=WHAT, now_ns=S, **more):
     """Reference and progress of the second step in that place."""
-    _, progress = reference(what, start(pose, 0.0, now_ns), pose, now_ns, None, around(target, **more))
-    return reference(what, progress, pose, now_ns, None, around(target, **more))
+    _, progress = reference(what, start(pose, 0.0, now_ns), pose, now_ns, around(target, **more))
+    return reference(what, progress, pose, now_ns, around(target, **more))
 
 
 def where_to(target_m, standoff_m, pose, where):
@@ -153,7 +153,7 @@ def test_the_gimbal_first_then_the_body_and_then_it_turns_along() -> None:
     for yaw, expected in ((0.5, 0.5), (1.5, GIMBAL_RAD), (-3.0, -GIMBAL_RAD)):
         assert told((0.8, 1.0, yaw), estimate())[0].yaw == pytest.approx(expected)
     before, progress = told((0.8, 1.0, 0.3), estimate())
-    after, _ = reference(WHAT, progress, (0.8, 1.0, 0.3), S, None, around(estimate((1.5, 1.2, 0.2), (0.0, 0.2, 0.0))))
+    after, _ = reference(WHAT, progress, (0.8, 1.0, 0.3), S, around(estimate((1.5, 1.2, 0.2), (0.0, 0.2, 0.0))))
     assert after.yaw - before.yaw == pytest.approx(math.atan2(0.2, 0.7))
     assert after.rate_rad_s == pytest.approx(0.7 * 0.2 / (0.7**2 + 0.2**2))
 
@@ -162,7 +162,7 @@ def test_told_to_it_searches_for_a_target_that_nobody_knows_and_follows_again() 
     what = Follow(target="ball", standoff_m=0.7, search=True)
     to, progress = told((0.8, 1.0, 0.0), None, what)
     assert to.place_m != (0.8, 1.0) and to.most_m_s == Search(target="ball").speed_m_s
-    to, progress = reference(what, progress, (0.8, 1.0, 0.0), S, None, around(estimate()))
+    to, progress = reference(what, progress, (0.8, 1.0, 0.0), S, around(estimate()))
     assert to.place_m == pytest.approx((0.8, 1.0)) and progress.hunt.way == ()
 
 
@@ -247,7 +247,7 @@ def swum(what):
     """(stage, reference, pose) of each step of a body that does at once what it is asked for, and coasts for 0.2 m."""
     stage, pose, speed, now_ns, told = Stage(), (1.2, 0.9, 2.0), (0.0, 0.0, 0.0), 10**9, []
     while stage.leg < len(LEGS):
-        to, stage = trial(what, stage, pose, now_ns)
+        to, stage = trial(what, stage, pose, 0.25, now_ns)
         told.append((stage, to, pose))
         if to.coast:
             speed = tuple(0.94 * v for v in speed)
@@ -263,7 +263,7 @@ def swum(what):
         pose = pose[0] + TRIAL_S * speed[0], pose[1] + TRIAL_S * speed[1], wrap(pose[2] + TRIAL_S * speed[2])
         now_ns += STEP_NS
         assert len(told) < 4000, f"leg {stage.leg} never ends"
-    return told, trial(what, stage, pose, now_ns)[0]
+    return told, trial(what, stage, pose, 0.25, now_ns)[0]
 
 
 def test_every_leg_runs_at_its_speed_and_coasts() -> None:

@@ -44,12 +44,13 @@ from agent.capabilities.swim.behaviour import (
     wrench,
 )
 from agent.capabilities.swim.pose_filter import Hull, begin
-from agent.capabilities.swim.search import walled_in
+from agent.capabilities.swim.search import Surroundings, walled_in
 from agent.core.config import Behaviour, Goto, Hold, Orbit, Turn
 from agent.core.linear_algebra import wrap
 from tests.capabilities.swim.planar_tank import Fixes, Piloted, Swimmer
 
 S = 1_000_000_000
+OPEN = Surroundings((100.0, 100.0))  # water without walls
 DAMPED = math.exp(-math.pi * 0.3 / math.sqrt(1.0 - 0.09))  # overshoot of a damping of 0.3: 37 %
 
 
@@ -133,7 +134,7 @@ def swum(what, seconds, at=(1.0, 1.0, 0.0), hull=None, rng=None, watched=None):
 
     def steer(t, belief):
         nonlocal progress
-        to, progress = reference(what, progress, belief.pose, round(t * S), watched)
+        to, progress = reference(what, progress, belief.pose, round(t * S), OPEN, watched)
         return to
 
     for _ in range(round(seconds * 20)):
@@ -197,7 +198,7 @@ def test_the_tether_is_not_wound_up() -> None:
     progress, yaw, total, most = start((0.0, 0.0, 0.0), 0.0, 0), 0.0, 0.0, 0.0
     for quarter in range(1, 12):
         for _ in range(400):
-            to, progress = reference(Turn(yaw_deg=90.0 * quarter), progress, (0.0, 0.0, yaw), 0)
+            to, progress = reference(Turn(yaw_deg=90.0 * quarter), progress, (0.0, 0.0, yaw), 0, OPEN)
             step = float(np.clip(wrap(to.yaw - yaw), -0.05, 0.05))
             yaw, total = wrap(yaw + step), total + step
             most = max(most, abs(total))
@@ -207,12 +208,15 @@ def test_the_tether_is_not_wound_up() -> None:
 
 
 def test_an_orbit_s_velocity_is_that_of_its_place_and_it_turns_back_in_time() -> None:
-    what, h = Orbit(x_m=1.5, y_m=1.0, radius_m=0.6, speed_m_s=0.1), 1_000_000
-    progress = start((1.5, 0.4, 2.0), 0.0, 0)
-    looks = []
-    for t_ns in range(0, 200 * S, S):
-        three = (reference(what, progress, (1.5, 0.4, 2.0), t) for t in (t_ns, t_ns + h, t_ns + 2 * h))
-        before, to, after = (each for each, _ in three)
+    what, h, at = Orbit(x_m=1.5, y_m=1.0, radius_m=0.6, speed_m_s=0.1), 1_000_000, (1.5, 0.4, 2.0)
+    progress = start(at, 0.0, 0)
+    looks, step_ns = [], S // 5
+    for t_ns in range(0, 200 * S, step_ns):
+        three = []
+        for t in (t_ns, t_ns + h, t_ns + 2 * h):
+            to, progress = reference(what, progress, at, t, OPEN)
+            three.append(to)
+        before, to, after = three
         assert math.dist(to.place_m, (1.5, 1.0)) == pytest.approx(0.6)
         slope = np.subtract(after.place_m, before.place_m) / (2e-9 * h)
         np.testing.assert_allclose(to.velocity_m_s, slope, atol=1e-7)
@@ -223,8 +227,22 @@ def test_an_orbit_s_velocity_is_that_of_its_place_and_it_turns_back_in_time() ->
         inwards = math.atan2(1.0 - to.place_m[1], 1.5 - to.place_m[0])
         assert wrap(inwards - to.yaw) == pytest.approx(0.0, abs=1e-9)
         looks.append(to.rate_rad_s)
-    turned = np.cumsum(looks)
+    turned = np.cumsum(looks) * step_ns / S
     assert max(looks) > 0 > min(looks) and np.ptp(turned) <= 2.0 * MOST_TURNED_RAD
+
+
+def test_an_orbit_is_as_slow_as_the_robot_and_waits_for_it() -> None:
+    what, at, h = Orbit(x_m=1.5, y_m=1.0, radius_m=0.6, speed_m_s=0.2), (1.5, 0.4, 2.0), S // 20
+    slow, progress = Surroundings(OPEN.tank_m, speed_m_s=0.05), start(at, 0.0, 0)
+    first, progress = reference(what, progress, at, 0, slow)
+    for k in range(1, 21):
+        to, progress = reference(what, progress, at, k * h, slow)
+    assert math.hypot(*to.velocity_m_s) < 0.05
+    assert math.dist(to.place_m, first.place_m) == pytest.approx(math.hypot(*to.velocity_m_s), rel=1e-3)
+    later, _ = reference(what, progress, at, 60 * S, slow)  # it was lost for a while
+    assert later.place_m == to.place_m
+    rests, _ = reference(what, progress, at, 21 * h, slow._replace(speed_m_s=0.0))
+    assert rests.place_m == to.place_m and rests.velocity_m_s == pytest.approx((0.0, 0.0))
 
 
 def test_an_orbit_is_swum() -> None:
@@ -243,17 +261,19 @@ def test_who_goes_to_a_wall_looks_away_from_it(x, y) -> None:
     tank_m, yaws = (3.0, 2.0), []
     pose, progress = (1.5, 1.0, 0.0), start((1.5, 1.0, 0.0), 0.0, 0)
     for step in range(1, 41):  # on the straight way, and as it turns
-        to, progress = reference(Goto(x_m=x, y_m=y), progress, pose, step * S, tank_m=tank_m)
+        to, progress = reference(Goto(x_m=x, y_m=y), progress, pose, step * S, Surroundings(tank_m))
         at = np.array([1.5, 1.0]) + step / 40.0 * (np.array([x, y]) - (1.5, 1.0))
         pose = (float(at[0]), float(at[1]), to.yaw)
         yaws.append(to.yaw)
     assert not walled_in(pose[:2], yaws[-1], tank_m)
-    told, _ = reference(Goto(x_m=x, y_m=y, yaw_deg=10.0), progress, pose, S, tank_m=tank_m)
+    told, _ = reference(Goto(x_m=x, y_m=y, yaw_deg=10.0), progress, pose, S, Surroundings(tank_m))
     assert told.yaw == pytest.approx(np.radians(10.0))  # whoever is told which way looks that way
 
 
 def test_who_goes_through_the_middle_looks_along_the_way() -> None:
-    to, _ = reference(Goto(x_m=1.9, y_m=1.1), start((1.0, 0.9, 0.0), 0.0, 0), (1.0, 0.9, 0.0), 0, tank_m=(3.0, 2.0))
+    to, _ = reference(
+        Goto(x_m=1.9, y_m=1.1), start((1.0, 0.9, 0.0), 0.0, 0), (1.0, 0.9, 0.0), 0, Surroundings((3.0, 2.0))
+    )
     assert to.yaw == pytest.approx(np.arctan2(0.2, 0.9))
 
 

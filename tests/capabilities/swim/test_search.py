@@ -70,7 +70,7 @@ def test_from_its_lanes_a_robot_alone_sees_everything_within_half_a_lane(tank_m)
 
 def test_who_has_no_part_stays_where_it_is() -> None:
     assert lanes((), LANE_M, (1.0, 1.0)) == ()
-    to, _ = reference(WHAT, start((0.1, 0.1, 0.0), 0.0, S), (0.1, 0.1, 0.0), S, None, around(fellows_m=((0.3, 0.3),)))
+    to, _ = reference(WHAT, start((0.1, 0.1, 0.0), 0.0, S), (0.1, 0.1, 0.0), S, around(fellows_m=((0.3, 0.3),)))
     assert to.place_m == pytest.approx((0.22, 0.22))
 
 
@@ -80,7 +80,7 @@ def test_who_has_no_part_stays_where_it_is() -> None:
 def test_it_swims_slowly_from_end_to_end_and_then_crosswise() -> None:
     progress, reached, pose = start(HERE, 0.0, S), [], HERE
     for _ in range(16):
-        to, progress = reference(WHAT, progress, pose, S, None, around())
+        to, progress = reference(WHAT, progress, pose, S, around())
         assert to.most_m_s == WHAT.speed_m_s and not to.done
         reached.append(to.place_m)
         pose = (*to.place_m, to.yaw)
@@ -94,49 +94,49 @@ def test_what_swims_is_searched_for_facing_the_middle_of_the_tank() -> None:
     """Whatever way the lane goes: of robots that all face along their lanes, none has what is behind them all."""
     at_yaw = {}
     for x, y in ((0.5, 0.6), (2.5, 0.6), (0.5, 1.5), (2.5, 1.5)):
-        to, _ = reference(WHAT, start((x, y, 0.3), 0.0, S), (x, y, 0.3), S, None, around(swims=True))
+        to, _ = reference(WHAT, start((x, y, 0.3), 0.0, S), (x, y, 0.3), S, around(swims=True))
         assert to.yaw == pytest.approx(math.atan2(1.0 - y, 1.5 - x))
         at_yaw[x, y] = to.yaw
-    to, _ = reference(WHAT, start((1.4, 1.1, 0.3), 0.0, S), (1.4, 1.1, 0.3), S, None, around(swims=True))
+    to, _ = reference(WHAT, start((1.4, 1.1, 0.3), 0.0, S), (1.4, 1.1, 0.3), S, around(swims=True))
     assert to.yaw == 0.3, "in the middle itself it keeps its yaw"
-    rests, _ = reference(WHAT, start((0.5, 0.6, 0.3), 0.0, S), (0.5, 0.6, 0.3), S, None, around())
+    rests, _ = reference(WHAT, start((0.5, 0.6, 0.3), 0.0, S), (0.5, 0.6, 0.3), S, around())
     assert abs(rests.yaw - at_yaw[0.5, 0.6]) > 0.1, "what rests is passed by sooner or later"
 
 
 def test_another_that_searches_takes_its_part_away() -> None:
-    _, progress = reference(WHAT, start(HERE, 0.0, S), HERE, S, None, around())
+    _, progress = reference(WHAT, start(HERE, 0.0, S), HERE, S, around())
     alone = progress.hunt.way
-    _, progress = reference(WHAT, progress, HERE, S, None, around(fellows_m=((1.5, 0.6),)))
+    _, progress = reference(WHAT, progress, HERE, S, around(fellows_m=((1.5, 0.6),)))
     assert progress.hunt.way != alone and all(x < 1.1 for x, _ in progress.hunt.way)
 
 
 def test_it_waits_while_it_sees_something_and_goes_on_when_that_was_nothing() -> None:
-    _, progress = reference(WHAT, start(HERE, 0.0, S), HERE, S, None, around())
+    _, progress = reference(WHAT, start(HERE, 0.0, S), HERE, S, around())
     way = progress.hunt.way
     pose = (0.8, 0.6, 1.0)  # it turns, as it sees something
     for now_ns in (2 * S, 3 * S):
-        to, progress = reference(WHAT, progress, pose, now_ns, None, around(sees=True))
+        to, progress = reference(WHAT, progress, pose, now_ns, around(sees=True))
         assert to.place_m == pose[:2] and to.yaw == 1.0
         pose = (0.82, 0.6, 1.1)
         assert to.place_m == (0.8, 0.6), "it does not drift along"
         pose = (0.8, 0.6, 1.0)
-    to, progress = reference(WHAT, progress, pose, 7 * S, None, around())
+    to, progress = reference(WHAT, progress, pose, 7 * S, around())
     assert to.place_m == way[0] and progress.hunt.way == way
 
 
 def test_first_it_looks_where_the_target_was() -> None:
     old = around(target=estimate(S - SEEN_NS), looks=True)
-    to, progress = reference(WHAT, start(HERE, 0.0, S), HERE, S + 1, None, old)
+    to, progress = reference(WHAT, start(HERE, 0.0, S), HERE, S + 1, old)
     assert to.place_m == HERE[:2] and not to.done
-    to, _ = reference(WHAT, progress, HERE, S + 2, None, old._replace(looks=False))
+    to, _ = reference(WHAT, progress, HERE, S + 2, old._replace(looks=False))
     assert to.place_m != HERE[:2]
 
 
 def test_it_is_done_once_anybody_knows_and_stays_so() -> None:
-    _, progress = reference(WHAT, start(HERE, 0.0, S), HERE, S, None, around())
-    to, progress = reference(WHAT, progress, HERE, 2 * S, None, around(target=estimate(2 * S)))
+    _, progress = reference(WHAT, start(HERE, 0.0, S), HERE, S, around())
+    to, progress = reference(WHAT, progress, HERE, 2 * S, around(target=estimate(2 * S)))
     assert to.done and to.place_m == HERE[:2]
-    to, _ = reference(WHAT, progress, HERE, 60 * S, None, around(target=estimate(2 * S)))
+    to, _ = reference(WHAT, progress, HERE, 60 * S, around(target=estimate(2 * S)))
     assert to.done and to.place_m == HERE[:2]
 
 
@@ -158,7 +158,7 @@ def test_a_link_that_drops_now_and_then_does_not_make_them_begin_again(seed) -> 
         linked, goals = now_ns % (20 * S) < 15 * S, []
         for k, (x, y) in enumerate(at):
             told = Surroundings(tank_m, 0.25, fellows_m=(at[1 - k],) if linked else ())
-            to, progress[k] = reference(WHAT, progress[k], (x, y, 0.0), now_ns, None, told)
+            to, progress[k] = reference(WHAT, progress[k], (x, y, 0.0), now_ns, told)
             goals.append(to.place_m)
         at = [towards(p, goal, WHAT.speed_m_s * h_ns * 1e-9) for p, goal in zip(at, goals, strict=True)]
         passed += at
@@ -172,19 +172,19 @@ def towards(p, goal, way_m):
 
 def test_an_end_that_it_cannot_reach_is_left_out() -> None:
     """Another robot holds there; the time of a sweep does not count."""
-    to, progress = reference(WHAT, start(HERE, 0.0, S), HERE, S, None, around())
+    to, progress = reference(WHAT, start(HERE, 0.0, S), HERE, S, around())
     ends, now_ns = progress.hunt.way, S
     pose = (ends[0][0] + 0.34, ends[0][1], 0.0)
     for _ in range(140):
         now_ns += S // 10
-        to, progress = reference(WHAT, progress, pose, now_ns, None, around())
+        to, progress = reference(WHAT, progress, pose, now_ns, around())
         assert to.place_m == ends[0]
     now_ns += 60 * S
-    to, progress = reference(WHAT, progress, pose, now_ns, None, around())
+    to, progress = reference(WHAT, progress, pose, now_ns, around())
     assert to.place_m == ends[0]
     for _ in range(152):
         now_ns += S // 10
-        to, progress = reference(WHAT, progress, pose, now_ns, None, around())
+        to, progress = reference(WHAT, progress, pose, now_ns, around())
     assert to.place_m == ends[1] and progress.hunt.way == ends
 
 

@@ -7,6 +7,7 @@ import numpy as np
 from agent.capabilities.swim.behaviour import reference, start, wanted_velocity, wrench
 from agent.capabilities.swim.event_ring import EventRing, asked, fix
 from agent.capabilities.swim.pose_filter import Drift, Hull, begin
+from agent.capabilities.swim.search import Surroundings
 from agent.capabilities.swim.tag_fix import TagFix, first_fix, priors, tag_fix
 from agent.core.attitude import Attitude
 from agent.core.config import Goto
@@ -43,7 +44,7 @@ def test_a_robot_finds_itself_and_swims_to_a_place() -> None:
             ring.advance(now_ns)
             belief = ring.at(now_ns)
             progress = progress or start(belief.pose, 0.0, now_ns)
-            to, progress = reference(goal, progress, belief.pose, now_ns)
+            to, progress = reference(goal, progress, belief.pose, now_ns, Surroundings((3.0, 2.0)))
             force, done = wrench(belief, Hull(), to, wanted_velocity(belief, to)), to.done
             ring.add(asked(now_ns, force))
             errors.append([*(np.subtract(belief.pose, swimmer.at)[:2]), wrap(belief.pose[2] - swimmer.at[2])])

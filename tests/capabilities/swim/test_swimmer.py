@@ -9,12 +9,13 @@ from agent.capabilities.swim.event_ring import RING_NS
 from agent.capabilities.swim.localizer import LOST_M, UNSURE_DEG, UNSURE_M, within
 from agent.capabilities.swim.swimmer import ARRIVED_NS, BRAKES_NS, calm
 from agent.core.codec import encode
-from agent.core.config import Goto, Limits, Look, Navigation, Orbit, Turn
+from agent.core.config import Goto, Limits, Look, Navigation, Orbit, Target, Turn
+from agent.core.estimation.interface import Prior
 from agent.core.step_io import Heard
 from agent.core.step_transaction import SURFACE_M
 from agent.core.topics import NEAR
 from agent.robot.step import Agent
-from tests.capabilities.swim.swimming_agent import CALIBRATION, DEPTH_M, POSE, STEP_NS, InTank, fleet
+from tests.capabilities.swim.swimming_agent import CALIBRATION, DEPTH_M, POSE, START_NS, STEP_NS, InTank, fleet
 from tests.capabilities.swim.swimming_fleet import FleetInTank, fleet_of
 from tests.sample_messages import presence
 
@@ -235,6 +236,34 @@ def test_orbit_goes_round_and_faces_the_middle() -> None:
     assert one.off(*one.body.at[:2], np.degrees(np.arctan2(*-arm[::-1])))[1] < 6.0
     gone = np.arctan2(arm[1], arm[0]) % (2 * np.pi) - np.pi  # it began on the far side
     assert gone == pytest.approx(4.0 * 0.1 / 0.3, abs=0.1)  # 0.1 m/s, from when it began
+
+
+def test_an_orbit_is_no_faster_than_the_robot_is_told_to_be() -> None:
+    one = InTank(fleet(pose=replace(POSE, yaw_deg=0.0), behaviour=Orbit(x_m=1.3, y_m=0.9, radius_m=0.3)))
+    one.swimmer.limit_speed(0.05)
+    assert one.until(lambda: one.swimmer.active.progress is not None, 8.0)
+    one.run(2.0)
+    speeds, radii = [], []
+    for _ in range(160):
+        one.step()
+        speeds.append(np.hypot(*one.body.speed[:2]))
+        radii.append(np.hypot(*(one.body.at[:2] - (1.3, 0.9))))
+    assert 0.03 < np.median(speeds) < 0.05 and max(speeds) < 0.06
+    assert max(abs(radius - 0.3) for radius in radii) < 0.03
+
+
+def test_it_keeps_clear_of_a_target_that_it_does_not_watch() -> None:
+    of = fleet(behaviour=Goto(x_m=1.9, y_m=0.9, yaw_deg=40.0))
+    one = InTank(replace(of, target={"ball": Target(radius_m=0.07), "stone": Target(radius_m=0.07)}))
+    stone = 1.45, 0.9, 0.3
+    one.agent.targets["stone"].measure(Prior(stone, (1e-4, 0.0, 0.0, 1e-4, 0.0, 1e-4), START_NS))
+    one.agent.targets["stone"].iterate(START_NS)
+    assert one.agent.measuring.watched == "ball"
+    least_m = 9.0
+    for _ in range(300):
+        one.step()
+        least_m = min(least_m, float(np.hypot(*(one.body.at[:2] - stone[:2]))))
+    assert 0.33 < least_m < 0.45 and one.agent.measuring.watched == "ball"
 
 
 def test_moored_robots_get_no_force_and_are_nowhere(swum) -> None:
