@@ -140,6 +140,13 @@ def links(fleet: Fleet) -> Iterator[Finding]:
         links_ = "one link" if count == 1 else f"{count} links"
         text = f"{links_}, and a word of any robot comes to all others" if count else "one robot, on its own"
         yield Finding("ok", "fleet", text)
+    if fleet.navigation is not None:
+        pairs = itertools.combinations(names, 2)
+        strangers = [f"{a} and {b}" for a, b in pairs if b not in fleet.robot[a].neighbours]
+        if strangers:
+            text = f"{strangers[0]} swim without a link, so neither keeps clear of the other; make them neighbours"
+            more = f" (and {len(strangers) - 1} more pairs)" if strangers[1:] else ""
+            yield Finding("warning", "fleet", text + more)
 
 
 # --- files ---

@@ -305,6 +305,18 @@ def test_tags_that_read_as_others_in_the_mirror_of_the_surface_are_a_warning() -
     assert "ids 314 can read as others" in found.text
 
 
+def test_robots_that_swim_and_are_not_linked_are_a_warning() -> None:
+    fleet = load_fleet(shipped_fleet("swim"))
+    assert not [found for found in check_files.links(fleet) if found.level != "ok"]
+    a, b, *_ = fleet.robot
+    robots = {
+        name: replace(robot, neighbours=tuple(other for other in robot.neighbours if {name, other} != {a, b}))
+        for name, robot in fleet.robot.items()
+    }
+    warned = [found.text for found in check_files.links(replace(fleet, robot=robots)) if found.level == "warning"]
+    assert any(f"{a} and {b} swim without a link" in text for text in warned), warned
+
+
 @pytest.mark.parametrize("encoding", ["utf-8-sig", "utf-16"])
 def test_a_mark_of_its_encoding_is_no_mistake_in_a_fleet_file(tmp_path: Path, encoding: str) -> None:
     path = tmp_path / "fleet.toml"
