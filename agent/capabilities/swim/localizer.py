@@ -9,13 +9,13 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 from msgspec import UNSET
 
 from agent.capabilities.swim.aided_pose import Aid, Seen, offset_m
 from agent.capabilities.swim.barrier import STILL as AT_REST
-from agent.capabilities.swim.event_ring import Event, EventRing, asked, fix, flow, rate
+from agent.capabilities.swim.event_ring import RING_NS, Event, EventRing, asked, fix, flow, rate
 from agent.capabilities.swim.landmarks import markers
 from agent.capabilities.swim.plane_odometry import Moved, by_things, odometry
 from agent.capabilities.swim.pose_filter import Belief, Drift, Hull, Wrench, basin, begin, learnt
@@ -201,6 +201,7 @@ SWIFTLY_S = 0.5  # the same of one that goes with what swims, and has some behin
 JUDGED_NS, FEWEST = 30_000_000_000, 10
 WITHOUT = (0.1, 0.4)
 CHECK = "check tag size, map, lens or water level"
+TOO_LATE = 0.5  # of them
 
 
 class Carriage(NamedTuple):
@@ -240,7 +241,7 @@ class Localizer(Revertible):
         self._sampled_ns: int | None = None
         self._unsettled: Unsettled | None = None
         self.refused = ""  # why the newest frame with landmarks gave no pose
-        self._judged: deque[tuple[int, bool]] = deque()  # exposures of frames with tags, and whether they gave none
+        self._judged: deque[tuple[int, Literal["place", "none", "late"]]] = deque()  # frames with tags: exposure, use
 
     def see(self, frame: SeenTags, carriage: Carriage) -> None:
         """The landmarks of a frame; level and gimbal at its exposure."""
@@ -259,7 +260,7 @@ class Localizer(Revertible):
         else:
             found = tag_fix(of, _priors(carriage, before), self._map, tags, before.pose)
         if isinstance(found, TagFix) or not found.ambiguous:
-            self._judged.append((frame.t_ns, isinstance(found, NoFix)))
+            self._judged.append((frame.t_ns, "none" if isinstance(found, NoFix) else "place"))
         if not isinstance(found, TagFix):
             self.refused = found.reason
             return
@@ -272,6 +273,7 @@ class Localizer(Revertible):
             self._asked = STILL
             self.aid.reset()
         elif not self._tell(fix(frame.t_ns, pose, found.fluctuates, found.stays, found.tags - found.odd)):
+            self._judged[-1] = frame.t_ns, "late"
             return
         self._fixes_ns.append(frame.t_ns)
 
@@ -377,8 +379,12 @@ class Localizer(Revertible):
             self._judged.popleft()
 
     def fault(self) -> str | None:
-        """That tags, map, lens and water level do not fit together, for people; None while they do."""
-        without = sum(refused for _, refused in self._judged) / max(len(self._judged), 1)
+        """That frames come too late, or tags, map, lens and water level do not fit together, for people."""
+        count = max(len(self._judged), 1)
+        without, late = (sum(use == what for _, use in self._judged) / count for what in ("none", "late"))
+        if len(self._judged) >= FEWEST and late > TOO_LATE:
+            ask = "ease the computer's load, or lower navigation.follow_hz"
+            return f"tags: {100.0 * late:.0f} % of their frames are of no use, later than {RING_NS * 1e-9:.1f} s: {ask}"
         if len(self._judged) < FEWEST or without <= WITHOUT[0]:
             return None
         word = "contradicted" if without > WITHOUT[1] else "suspect"

@@ -125,9 +125,19 @@ def test_neither_a_turning_robot_nor_two_possible_poses_speak_against_the_tags(m
     assert lost.refused == "two poses" and lost.fault() is None
 
 
+def test_it_says_that_frames_come_too_late_to_tell_it_where_it_is() -> None:
+    one = Localizer(fleet(), CALIBRATION)
+    for k in range(20):
+        exposed_ns = 10**9 + k * 10**8
+        one.advance(exposed_ns + 9 * 10**8)
+        one.sent((0.1 * (k % 2), 0.0, 0.0), exposed_ns + 9 * 10**8)
+        one.see(SeenTags(t_ns=exposed_ns, frame=k, tags=tuple(sight(THETA))), LEVEL)
+    assert "% of their frames are of no use, later than 0.8 s" in (one.fault() or "")
+
+
 def test_a_robot_that_swims_says_what_is_wrong_with_its_tags() -> None:
     tank = InTank(fleet())
-    swimmer_of(tank.agent.capabilities).localizer._judged.extend((START_NS, True) for _ in range(20))
+    swimmer_of(tank.agent.capabilities).localizer._judged.extend((START_NS, "none") for _ in range(20))
     assert any(fault.startswith("tags: contradicted: ") for fault in tank.agent.equipment.faults(START_NS))
 
 
