@@ -32,6 +32,9 @@ ARM_M = 0.003  # of every push, which makes some moment: no two thrusters are al
 # What a moment is off by while thrusters turn: near zero each gives what its own dead band leaves of a small thrust.
 # In surveys of the twin a turn is off by 0.1 rad/s^2 for some tenths of a second: as white noise that is this or more.
 DEAD_NM = 0.002
+# What thrust has wrong while it stays the same is a push, which is learnt: in doubt is only what differs from the mean
+# of so long. Else a robot that holds against a steady pull of 1.5 N would never know how it moves.
+STEADY_S = 4.0
 
 # An ESC's zero is off by some 5 us; where thrusters are kept turning (hw/firmware/thrust.py) that is 0.09 N of each of
 # four, at 0.17 m: what pushes and turns a robot from when they turn on, and no longer.
@@ -59,6 +62,7 @@ class Motion(NamedTuple):
     """Accelerations over one step, and how they change with what they depend on."""
 
     force: Wrench  # that acts at the end of the step
+    steady: Wrench  # its mean of late
     ax: float
     ay: float
     turn: float  # rad/s^2
@@ -71,7 +75,9 @@ class Motion(NamedTuple):
     turn_doubt: float  # rad/s^2
 
 
-def motion(hull: Hull, state: tuple[float, ...], force: Wrench, asked: Wrench, h: float) -> Motion:
+def motion(
+    hull: Hull, state: tuple[float, ...], force: Wrench, asked: Wrench, h: float, steady: Wrench = (0.0, 0.0, 0.0)
+) -> Motion:
     """What a step of h seconds does from state = (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi, munk, gain, ...).
 
     Of a body that swims aslant, added mass that differs aside and ahead makes a moment: Munk's, that difference times
@@ -86,14 +92,17 @@ def motion(hull: Hull, state: tuple[float, ...], force: Wrench, asked: Wrench, h
     k, k_r = damping(hull, math.sqrt(vx * vx + vy * vy)), turn_damping(hull, r)
     f, g, n = (f + (u - f) * reached for f, u in zip(force, asked, strict=True))
     spin = moment / hull.inertia_kgm2
-    doubt = math.hypot(OF_THRUST * math.hypot(px, py), OF_DRAG * k * math.hypot(vx, vy))
-    arm_nm, dead_nm = ARM_M * math.hypot(ahead, left), DEAD_NM if any(asked) else 0.0
-    turn_doubt = math.hypot(OF_TURN * spin, OF_DRAG * k_r * r, math.hypot(arm_nm, dead_nm) / hull.inertia_kgm2)
+    fresh_n, fresh_nm = math.hypot(ahead - steady[0], left - steady[1]), moment - steady[2]
+    doubt = math.hypot(OF_THRUST * fresh_n / hull.mass_kg, OF_DRAG * k * math.hypot(vx, vy))
+    of_nm = OF_TURN * fresh_nm, ARM_M * fresh_n, DEAD_NM if any(asked) else 0.0
+    turn_doubt = math.hypot(math.hypot(*of_nm) / hull.inertia_kgm2, OF_DRAG * k_r * r)
     u, v, bent = c * vx + s * vy, c * vy - s * vx, munk_kg / hull.inertia_kgm2
     ax, ay, turn = px - k * vx + dx, py - k * vy + dy, (1.0 + gain) * spin - bent * u * v - k_r * r + dpsi
     by_speed = -bent * (c * v - s * u), -bent * (s * v + c * u)
     turn_by = (bent * (u * u - v * v), *by_speed, -u * v / hull.inertia_kgm2, spin)
-    return Motion((f, g, n), ax, ay, turn, k, k_r, -py, px, turn_by, doubt, turn_doubt)
+    forget = h / STEADY_S
+    mean = tuple(was + forget * (now - was) for was, now in zip(steady, (f, g, n), strict=True))
+    return Motion((f, g, n), (mean[0], mean[1], mean[2]), ax, ay, turn, k, k_r, -py, px, turn_by, doubt, turn_doubt)
 
 
 def damping(hull: Hull, speed_m_s: float) -> float:
@@ -136,6 +145,7 @@ class Belief(NamedTuple):
     x: State
     P: Covariance
     force: Wrench = (0.0, 0.0, 0.0)  # acting by now
+    steady: Wrench = (0.0, 0.0, 0.0)  # mean of late
     asked: Wrench = (0.0, 0.0, 0.0)
     key_ns: int | None = None  # exposure of the key frame whose clone is in the state
     refused: int = 0  # fixes in a row
@@ -182,10 +192,10 @@ def predict(belief: Belief, hull: Hull, drift: Drift, t_ns: int) -> Belief:
         return belief
     steps = -(-span_ns // STEP_NS)
     h = span_ns * 1e-9 / steps
-    x, P, force, gyro = belief.x, belief.P, belief.force, has_gyro(belief)
+    x, P, force, steady, gyro = belief.x, belief.P, belief.force, belief.steady, has_gyro(belief)
     for _ in range(steps):
-        m = motion(hull, x, force, belief.asked, h)
-        force, half = m.force, 0.5 * h * h
+        m = motion(hull, x, force, belief.asked, h, steady)
+        force, steady, half = m.force, m.steady, 0.5 * h * h
         moved = (
             x[0] + h * x[3] + half * m.ax,
             x[1] + h * x[4] + half * m.ay,
@@ -207,7 +217,7 @@ def predict(belief: Belief, hull: Hull, drift: Drift, t_ns: int) -> Belief:
         for i, variance in enumerate(_noise(drift, m)[: BIAS - 3 + gyro], start=3):
             rows[i][i] += h * variance
         P = frozen(rows)
-    return belief._replace(t_ns=t_ns, x=x, P=P, force=force)
+    return belief._replace(t_ns=t_ns, x=x, P=P, force=force, steady=steady)
 
 
 def _noise(drift: Drift, m: Motion) -> tuple[float, ...]:
@@ -312,7 +322,8 @@ def add_fix(belief: Belief, pose: Vector, fluctuates: Symmetric, stays: Symmetri
     if belief.refused + 1 < (OF_AGREEING if agreeing >= AGREEING else REFUSALS):
         return belief._replace(refused=belief.refused + 1, nis=corrected.nis)
     again = learnt(belief, begin(belief.t_ns, pose, fluctuates, stays, has_gyro(belief)))
-    return again._replace(force=belief.force, asked=belief.asked, restarts=belief.restarts + 1, nis=corrected.nis)
+    again = again._replace(force=belief.force, steady=belief.steady, asked=belief.asked)
+    return again._replace(restarts=belief.restarts + 1, nis=corrected.nis)
 
 
 def add_flow(belief: Belief, since_ns: int, moved: Vector, covariance: Symmetric) -> Belief:

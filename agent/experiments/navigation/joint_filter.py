@@ -44,6 +44,7 @@ class JointFilter:
         self.P[self.n :, self.n :] = ANYWHERE_M2 * np.eye(3)
         self._since_ns: list[int | None] = [None] * robots  # time of a robot's state; None: it was not seen yet
         self._force: list[Wrench] = [(0.0, 0.0, 0.0)] * robots
+        self._steady: list[Wrench] = [(0.0, 0.0, 0.0)] * robots
         self._asked: list[Wrench] = [(0.0, 0.0, 0.0)] * robots
         self._key_ns: list[int | None] = [None] * robots
         self._biased = [False] * robots
@@ -90,8 +91,8 @@ class JointFilter:
         own = slice(EACH * i, EACH * i + OWN)
         for _ in range(steps):
             x = self.x[own]
-            m = motion(self._hull, tuple(x.tolist()), self._force[i], self._asked[i], h)
-            self._force[i], half = m.force, 0.5 * h * h
+            m = motion(self._hull, tuple(x.tolist()), self._force[i], self._asked[i], h, self._steady[i])
+            self._force[i], self._steady[i], half = m.force, m.steady, 0.5 * h * h
             x[:3] += h * x[3:6] + half * np.array([m.ax, m.ay, m.turn])
             x[3:6] += h * np.array([m.ax, m.ay, m.turn])
             F = np.eye(OWN)

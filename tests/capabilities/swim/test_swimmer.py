@@ -238,6 +238,14 @@ def test_orbit_goes_round_and_faces_the_middle() -> None:
     assert gone == pytest.approx(4.0 * 0.1 / 0.3, abs=0.1)  # 0.1 m/s, from when it began
 
 
+def test_a_steady_pull_does_not_keep_it_from_what_it_is_told() -> None:
+    """A tether in a current, say: what it thrusts against that is learnt, and no doubt any more."""
+    one = InTank(fleet(behaviour=Goto(x_m=1.9, y_m=1.2, yaw_deg=40.0)), seed=3)
+    for _ in range(400):
+        one.step(pull=(2.0, -1.0, 0.0))
+    assert one.swimmer.under_way and one.off(1.9, 1.2, 40.0)[0] < 0.03
+
+
 def test_an_orbit_is_no_faster_than_the_robot_is_told_to_be() -> None:
     one = InTank(fleet(pose=replace(POSE, yaw_deg=0.0), behaviour=Orbit(x_m=1.3, y_m=0.9, radius_m=0.3)))
     one.swimmer.limit_speed(0.05)
