@@ -49,6 +49,7 @@ _WEAK = const(18)  # T1; the next three are T2 to T4, or pairs round the hull
 _REVERSED = const(22)
 _CROSSED = const(26)
 _SENSORS_CROSSED = const(30)
+_STILL = const(31)
 
 _ERROR_100nm = const(500000)  # 5 cm, 8 degrees: with all thrust spent on it, that is not held
 _ERROR_100nrad = const(1400000)
@@ -112,7 +113,7 @@ class Ladder:
         flat = -_PLANE_100nm < plane.parity_100nm < _PLANE_100nm
         self._over_us = self._over_us + dt_us if flat and plane.over else 0
         if plane.bad_count >= 2:
-            self._climb(DISARM, _TWO_BAD)
+            self._climb(DISARM, _STILL if plane.still else _TWO_BAD)
         elif plane.upside_down or self._over_us >= _OVER_FOR_US:
             self._climb(DISARM, _OVERTURNED)
         elif plane.disagree and not -_USELESS_100nm < plane.parity_100nm < _USELESS_100nm:

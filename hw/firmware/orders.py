@@ -151,7 +151,9 @@ class Orders:
         control.tare_old = self._tare_is_old()
         faults = control.arm_faults(self._line.hello, self._line.slowest_us())
         if faults:
-            self._line.event(_EV_ARM_REFUSED, before, before, _WARNING, faults)
+            self._line.event(
+                _EV_ARM_REFUSED, before, before, _WARNING, (faults ^ 0x8000) - 0x8000
+            )  # 16 bits and a sign
             return _REFUSED
         control.arm()
         self._line.event(_EV_ARMED, before, control.ladder.level, _INFO, _ORDER)

@@ -147,6 +147,7 @@ REASONS = (
     "T3 and T4 are crossed",
     "T4 and T1 are crossed",
     "neighbouring sensors are crossed",
+    "sensors stand still",
 )
 
 ARM_CHECKS = (
