@@ -172,7 +172,7 @@ class Control:
             return True
         if self._owed:
             self._recover()
-        before = self.ladder.level
+        before, reason = self.ladder.level, self.ladder.reason
         level = self.ladder.step(
             dt_us, self.set_point.age_us, self.set_point.ttl_us, self.plane, self.leak, self.battery_low
         )
@@ -201,13 +201,13 @@ class Control:
             elif self.ladder.level != level:
                 self.hold_here()
                 self.set_point.level_out()
-        return self.ladder.level != before
+        return self.ladder.level != before or self.ladder.reason != reason
 
     def fail(self, dt_us):
         """End a cycle that broke off: the last pulses stand. Returns whether the ladder moved."""
         if self.state == _DISARMED:
             return False
-        before = self.ladder.level
+        before, reason = self.ladder.level, self.ladder.reason
         self._owed = min(self._owed + _FAULT_CYCLES, _FAULTS_LIMIT * _FAULT_CYCLES)
         self._lost_us += dt_us
         self._failed = True
@@ -216,7 +216,7 @@ class Control:
             self.disarm()
         elif self._owed == _FAULTS_LIMIT * _FAULT_CYCLES:
             self.surface(_FAULT)
-        return self.ladder.level != before
+        return self.ladder.level != before or self.ladder.reason != reason
 
     def _recover(self):
         """Begin a cycle while good ones are owed: if the last was one it counts, else the law begins anew, for what
@@ -230,8 +230,9 @@ class Control:
 
     def surface(self, reason=_ORDER):
         """Go up level, whatever the set-point says, until an order to arm calls the robot back."""
-        if self.ladder.level < failsafe.SURFACE:
-            self.ladder.surface(reason)
+        before = self.ladder.level
+        self.ladder.surface(reason)
+        if before < failsafe.SURFACE:
             self.hold_here()
             self.set_point.level_out()
 
@@ -307,7 +308,8 @@ class Control:
         off = roll if roll > pitch else pitch
         self._level = off < _QUIET_100nrad
         self._quiet = not self._cut and deep < _QUIET_100nm and self._level
-        self._still = self._quiet and self.set_point.is_neutral(_STILL_uN, _STILL_uNm)
+        rests = self._quiet and self.ladder.level < failsafe.SURFACE
+        self._still = rests and self.set_point.is_neutral(_STILL_uN, _STILL_uNm)
         self.ladder.watch(self._unwatched_us, deep, off, self._cut, push, self._still)
         self._unwatched_us = self._cut = 0
 

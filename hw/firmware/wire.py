@@ -148,6 +148,7 @@ REASONS = (
     "T4 and T1 are crossed",
     "neighbouring sensors are crossed",
     "sensors stand still",
+    "a sensor is bad",
 )
 
 ARM_CHECKS = (
