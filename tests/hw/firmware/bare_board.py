@@ -166,8 +166,8 @@ class BareBoard:
         self.tick()
         return [(got, said) for got, said in self.frames if got in (wire.ACK, wire.PARAM_VALUE)]
 
-    def greet(self) -> None:
-        self.say(wire.HELLO, wire.PROTOCOL, wire.schema_crc(), 1)
+    def greet(self, host: int = 1) -> None:
+        self.say(wire.HELLO, wire.PROTOCOL, wire.schema_crc(), host)
         self.tick()
 
     def set_point(self, depth_m: float = 0.3, host_ds: int = 7) -> None:

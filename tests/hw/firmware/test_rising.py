@@ -11,7 +11,7 @@ from hw.firmware.failsafe import DISARM, SURFACE
 from hw.module import surfacing_for_silence
 from tests.hw.firmware.bare_board import BareBoard
 from tests.hw.firmware.diving_robot import diving_robot
-from tests.hw.firmware.test_failsafe import CYCLE_US, at_rest, climb
+from tests.hw.firmware.test_failsafe import at_rest, climb
 
 
 def rising() -> Any:
@@ -105,4 +105,4 @@ def test_a_thruster_that_turns_round_on_the_way_up_stops_the_motors(tmp_path):
         robot.until(lambda: not robot.armed, 3.5)
         robot.run(0.5)
         assert robot.telemetry[-1].flags & wire.FLAG_FOUND
-        assert failsafe.DISARM == robot.ladder and not robot.heard("surfaced")
+        assert robot.ladder == failsafe.DISARM and not robot.heard("surfaced")
