@@ -21,7 +21,7 @@ _KILLED = const(14)
 
 _ASCENT_MM_S = const(70)
 _AFLOAT_100nm = const(800000)  # where surfacing ends: a hull lifted out of the water would plunge when motors stop
-_BATTERY_TICKS = const(100)  # thrust goes with a voltage smoothed over these: a probe's noise is not a battery's
+_BATTERY_TICKS = const(100)  # all goes by a voltage smoothed over these: a probe's noise is not a battery's
 _STEEPEST_100nrad = const(7850000)  # net weight is carried along the robot's own axis up to this tilt
 _NEVER_US = const(1 << 29)  # an age that is past every limit and fits the board's 31 bit integers
 # A cycle whose control broke off is made up for by so many good ones; where debts add up, the robot goes up.
@@ -94,7 +94,8 @@ class Control:
         self._owed = 0  # good cycles, after faults
         self._lost_us = 0  # since the last good cycle
         self._failed = False  # the last one was none
-        self._battery_mv64 = 0  # smoothed, in 1/64 mV
+        self.battery_mv = 0  # smoothed
+        self._battery_mv64 = 0  # in 1/64 mV
         self._forces_uN = [0] * 8
         # one value each for depth, roll, pitch
         self._y = [0] * 3
@@ -148,15 +149,16 @@ class Control:
         if self.set_point.age_us < _NEVER_US:
             self.set_point.age_us += dt_us
         self.leak = bool(leak)
-        self.battery_low = battery_mv < self._battery_min_mv
         if battery_mv < _ESC_LIVES_MV:
             self.esc_us = -_ESC_STARTS_US
         elif self.killed and self.esc_us > 0:
             self.esc_us = 0
-        if self._battery_mv64:
+        if self.battery_mv >= _ESC_LIVES_MV:
             self._battery_mv64 += ((battery_mv << 6) - self._battery_mv64 + _BATTERY_TICKS // 2) // _BATTERY_TICKS
-        else:
+        else:  # it has just been plugged in
             self._battery_mv64 = battery_mv << 6
+        self.battery_mv = self._battery_mv64 >> 6
+        self.battery_low = self.battery_mv < self._battery_min_mv
         self.plane.step(pressure_mPa, answered, dt_us)
 
     def act(self, dt_us):

@@ -313,7 +313,7 @@ def test_an_empty_battery_brings_it_up_a_sag_does_not(hovering):
     robot.run(1.0)
     assert robot.ladder == failsafe.OK
     robot.dive.set_battery("r1", 11.5)
-    assert robot.until(lambda: robot.ladder == failsafe.SURFACE, 3.0) == pytest.approx(2.0, abs=0.1)
+    assert robot.until(lambda: robot.ladder == failsafe.SURFACE, 5.0) == pytest.approx(3.3, abs=0.3)  # 2 s of the mean
     robot.run(2.0)
     assert robot.heard("battery low") and HOVER.depth_m - robot.depth_m > 0.08
 
