@@ -49,6 +49,8 @@ _WEAK = const(18)  # T1; the next three are T2 to T4, or pairs round the hull
 _REVERSED = const(22)
 _CROSSED = const(26)
 _SENSORS_CROSSED = const(30)
+_STILL = const(31)
+_BAD = const(32)
 
 _ERROR_100nm = const(500000)  # 5 cm, 8 degrees: with all thrust spent on it, that is not held
 _ERROR_100nrad = const(1400000)
@@ -73,14 +75,15 @@ class Ladder:
     def __init__(self):
         self.level = OK
         self.reason = _NONE
+        self.finding = _NONE  # the first thing that it surfaced or stopped for and a person has to look at
         self._surfacing_us = self._shallow_us = self._tilt_us = self._battery_us = 0
         self._over_us = self._helpless_us = self._moment_us = 0
         self._usual_uNm = [0, 0]  # what it takes to hold the robot level, roll and pitch
         self._still_us = self._changed_us = 0
 
     def found(self):
-        """Whether it surfaces for something that the board found, and no host's silence nor order."""
-        return self.level >= SURFACE and self.reason != _SILENT and self.reason != _ORDER
+        """Whether it surfaces, or has stopped, for something that the board found, and no host's silence nor order."""
+        return self.finding != _NONE
 
     def resume(self):
         """Go back to normal, by order. False where only a reboot helps."""
@@ -89,9 +92,13 @@ class Ladder:
         return self.level == OK
 
     def surface(self, reason):
-        """Go up."""
-        if self.level < SURFACE:
+        """Go up. Who does so already keeps a reason for which a person has to look."""
+        if self._may_find() and (self.level < SURFACE or reason != _ORDER):
             self._climb(SURFACE, reason)
+
+    def _may_find(self):
+        """Not so where the motors are off, or it rises for a finding: the first stands."""
+        return self.level < SURFACE or self.level == SURFACE and not self.finding
 
     def give_up(self, reason=None):
         """Disarm; without a reason, for the one that stands."""
@@ -99,8 +106,7 @@ class Ladder:
 
     def latch(self, reason):
         """Neutral until reboot."""
-        self.level = LATCHED
-        self.reason = reason
+        self._climb(LATCHED, reason)
 
     def step(self, dt_us, age_us, ttl_us, plane, leak, battery_low):
         """One cycle while armed; age_us is that of the newest set-point, plane a pressure.Plane. Returns the level."""
@@ -112,7 +118,7 @@ class Ladder:
         flat = -_PLANE_100nm < plane.parity_100nm < _PLANE_100nm
         self._over_us = self._over_us + dt_us if flat and plane.over else 0
         if plane.bad_count >= 2:
-            self._climb(DISARM, _TWO_BAD)
+            self._climb(DISARM, _STILL if plane.still else _TWO_BAD)
         elif plane.upside_down or self._over_us >= _OVER_FOR_US:
             self._climb(DISARM, _OVERTURNED)
         elif plane.disagree and not -_USELESS_100nm < plane.parity_100nm < _USELESS_100nm:
@@ -126,16 +132,10 @@ class Ladder:
                 self._climb(DISARM, _SURFACED)
             elif self._surfacing_us > _DISARM_AFTER_US:
                 self._climb(DISARM, _STUCK)
-        elif leak:
-            self._climb(SURFACE, _LEAK)
-        elif self._battery_us >= _BATTERY_FOR_US:
-            self._climb(SURFACE, _BATTERY)
-        elif plane.disagree:
-            self._climb(SURFACE, _SENSORS)
-        elif plane.leans:
-            self._climb(SURFACE, _CONTRADICTED)
-        elif self._helpless_us >= _NOT_HOLDING_US:
-            self._climb(SURFACE, _NOT_HOLDING)
+            elif not self.finding:
+                self._look(plane, leak)
+        elif self._look(plane, leak):
+            pass
         elif age_us > _SURFACE_AFTER_US:
             self._climb(SURFACE, _SILENT)
         elif age_us > min(_HOLD_AFTER_US, ttl_us):
@@ -143,6 +143,25 @@ class Ladder:
         else:
             self._climb(OK, _NONE)
         return self.level
+
+    def _look(self, plane, leak):
+        """Go up for what is found; whether there is something."""
+        reason = _NONE
+        if leak:
+            reason = _LEAK
+        elif self._battery_us >= _BATTERY_FOR_US:
+            reason = _BATTERY
+        elif plane.disagree:
+            reason = _SENSORS
+        elif plane.leans:
+            reason = _CONTRADICTED
+        elif self._helpless_us >= _NOT_HOLDING_US:
+            reason = _NOT_HOLDING
+        elif plane.bad_count and self.level == SURFACE:  # one that dives is flown with the other three
+            reason = _BAD
+        if reason:
+            self._climb(SURFACE, reason)
+        return reason
 
     def watch(self, dt_us, depth_100nm, tilt_100nrad, saturated, push, still):
         """What control came to since the last look: the largest errors, whether all thrust was spent, the push that the
@@ -178,12 +197,14 @@ class Ladder:
 
     def suspect(self, reason):
         """Something does not do what it is told: up, or, where control pushes the wrong way, off."""
-        if self.level < SURFACE:
+        if self._may_find():
             self._climb(DISARM if _REVERSED <= reason < _CROSSED else SURFACE, reason)
 
     def _climb(self, level, reason):
         self.level = level
         self.reason = reason
+        if level >= SURFACE and not self.finding and reason not in (_ORDER, _SILENT, _SURFACED):
+            self.finding = reason
 
 
 class Probe:

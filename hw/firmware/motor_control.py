@@ -21,7 +21,7 @@ _KILLED = const(14)
 
 _ASCENT_MM_S = const(70)
 _AFLOAT_100nm = const(800000)  # where surfacing ends: a hull lifted out of the water would plunge when motors stop
-_BATTERY_TICKS = const(100)  # thrust goes with a voltage smoothed over these: a probe's noise is not a battery's
+_BATTERY_TICKS = const(100)  # all goes by a voltage smoothed over these: a probe's noise is not a battery's
 _STEEPEST_100nrad = const(7850000)  # net weight is carried along the robot's own axis up to this tilt
 _NEVER_US = const(1 << 29)  # an age that is past every limit and fits the board's 31 bit integers
 # A cycle whose control broke off is made up for by so many good ones; where debts add up, the robot goes up.
@@ -94,7 +94,8 @@ class Control:
         self._owed = 0  # good cycles, after faults
         self._lost_us = 0  # since the last good cycle
         self._failed = False  # the last one was none
-        self._battery_mv64 = 0  # smoothed, in 1/64 mV
+        self.battery_mv = 0  # smoothed
+        self._battery_mv64 = 0  # in 1/64 mV
         self._forces_uN = [0] * 8
         # one value each for depth, roll, pitch
         self._y = [0] * 3
@@ -148,15 +149,16 @@ class Control:
         if self.set_point.age_us < _NEVER_US:
             self.set_point.age_us += dt_us
         self.leak = bool(leak)
-        self.battery_low = battery_mv < self._battery_min_mv
         if battery_mv < _ESC_LIVES_MV:
             self.esc_us = -_ESC_STARTS_US
         elif self.killed and self.esc_us > 0:
             self.esc_us = 0
-        if self._battery_mv64:
+        if self.battery_mv >= _ESC_LIVES_MV:
             self._battery_mv64 += ((battery_mv << 6) - self._battery_mv64 + _BATTERY_TICKS // 2) // _BATTERY_TICKS
-        else:
+        else:  # it has just been plugged in
             self._battery_mv64 = battery_mv << 6
+        self.battery_mv = self._battery_mv64 >> 6
+        self.battery_low = self.battery_mv < self._battery_min_mv
         self.plane.step(pressure_mPa, answered, dt_us)
 
     def act(self, dt_us):
@@ -172,7 +174,7 @@ class Control:
             return True
         if self._owed:
             self._recover()
-        before = self.ladder.level
+        before, reason = self.ladder.level, self.ladder.reason
         level = self.ladder.step(
             dt_us, self.set_point.age_us, self.set_point.ttl_us, self.plane, self.leak, self.battery_low
         )
@@ -201,13 +203,13 @@ class Control:
             elif self.ladder.level != level:
                 self.hold_here()
                 self.set_point.level_out()
-        return self.ladder.level != before
+        return self.ladder.level != before or self.ladder.reason != reason
 
     def fail(self, dt_us):
         """End a cycle that broke off: the last pulses stand. Returns whether the ladder moved."""
         if self.state == _DISARMED:
             return False
-        before = self.ladder.level
+        before, reason = self.ladder.level, self.ladder.reason
         self._owed = min(self._owed + _FAULT_CYCLES, _FAULTS_LIMIT * _FAULT_CYCLES)
         self._lost_us += dt_us
         self._failed = True
@@ -216,7 +218,7 @@ class Control:
             self.disarm()
         elif self._owed == _FAULTS_LIMIT * _FAULT_CYCLES:
             self.surface(_FAULT)
-        return self.ladder.level != before
+        return self.ladder.level != before or self.ladder.reason != reason
 
     def _recover(self):
         """Begin a cycle while good ones are owed: if the last was one it counts, else the law begins anew, for what
@@ -230,8 +232,9 @@ class Control:
 
     def surface(self, reason=_ORDER):
         """Go up level, whatever the set-point says, until an order to arm calls the robot back."""
-        if self.ladder.level < failsafe.SURFACE:
-            self.ladder.surface(reason)
+        before = self.ladder.level
+        self.ladder.surface(reason)
+        if before < failsafe.SURFACE:
             self.hold_here()
             self.set_point.level_out()
 
@@ -307,7 +310,8 @@ class Control:
         off = roll if roll > pitch else pitch
         self._level = off < _QUIET_100nrad
         self._quiet = not self._cut and deep < _QUIET_100nm and self._level
-        self._still = self._quiet and self.set_point.is_neutral(_STILL_uN, _STILL_uNm)
+        rests = self._quiet and self.ladder.level < failsafe.SURFACE
+        self._still = rests and self.set_point.is_neutral(_STILL_uN, _STILL_uNm)
         self.ladder.watch(self._unwatched_us, deep, off, self._cut, push, self._still)
         self._unwatched_us = self._cut = 0
 

@@ -40,6 +40,7 @@ _PROMPT_MAGIC = const(0xB0070EE1)
 
 # Indices of wire.REASONS
 _ORDER = const(1)
+_SILENT = const(2)
 _STOP = const(10)
 
 _TARE_FOR_S = const(43200)  # the weather moves by 1 hPa, a centimetre of water, within hours
@@ -72,8 +73,14 @@ class Orders:
         self.reboot = 0  # at the end of this cycle: 1 into the firmware, 2 to the prompt
 
     def forget(self):
-        """Another host: its request numbers begin again."""
+        """Another host: its request numbers begin again, and it asked for no mode. What a program on the bench left on
+        would turn a thruster when the agent arms."""
         self._results = []
+        control = self._control
+        if control.mode == _BENCH:
+            self._stop(_SILENT)
+        elif control.mode == _STABILISE:
+            control.hold_here()
 
     def take(self, kind, fields):
         """One order, as the table of wire.py has its fields.
@@ -151,7 +158,9 @@ class Orders:
         control.tare_old = self._tare_is_old()
         faults = control.arm_faults(self._line.hello, self._line.slowest_us())
         if faults:
-            self._line.event(_EV_ARM_REFUSED, before, before, _WARNING, faults)
+            self._line.event(
+                _EV_ARM_REFUSED, before, before, _WARNING, (faults ^ 0x8000) - 0x8000
+            )  # 16 bits and a sign
             return _REFUSED
         control.arm()
         self._line.event(_EV_ARMED, before, control.ladder.level, _INFO, _ORDER)

@@ -15,8 +15,11 @@ _ABOVE_WATER_100nm = const(1000000)  # higher is no place of a submerged robot (
 _BAD_AFTER = const(5)  # faulty readings in a row (50 ms); below that the last good one stands in
 _GOOD_AFTER = const(100)  # good readings in a row (1 s)
 _SPIKE_100nm = const(500000)  # who leaves the others' plane by more in a cycle is doubted, for _BAD_AFTER cycles
-_STUCK_AFTER_US = const(5000000)  # the same reading is a fault only while the others move (ArduPilot issue 30854)
-_MOVING_US = const(1000000)
+# A sensor that measures is never still: its noise is some 50 of the converter's steps, which are 0.044 Pa. One that is
+# while another moves has frozen; where all are, they have together, and nothing that moves is needed to tell.
+_STEP_mPa = const(50)
+_STUCK_AFTER_US = const(1000000)
+_ALL_STUCK_AFTER_US = const(2000000)
 _PARITY_LIMIT_100nm = const(200000)
 _PARITY_FOR_US = const(500000)
 # Zeros drift as sensors warm up, by millimetres in ten minutes. Parity that grows so slowly is followed and is no
@@ -53,8 +56,9 @@ class Plane:
         self.disagree = False  # one of them is wrong and nobody knows which
         self.upside_down = self.leans = False  # by gravity, where there is an accelerometer
         self._upside, self._leaning = 0, 0  # looks in a row
-        self._last_mPa = [0] * 4
-        self._same_us = [0] * 4
+        self.still = False  # all that are believed stand still
+        self._stands_mPa = [0] * 4  # where a sensor stands still
+        self._still_us = [0] * 4  # for how long
         self._faults = [_BAD_AFTER] * 4  # a sensor is bad until it has spoken
         self._goods = [_GOOD_AFTER - 1] * 4
         self._new_100nm = [0] * 4
@@ -75,9 +79,10 @@ class Plane:
         """Take absolute pressures; `answered` is the bit mask of sensors that were there."""
         self._measure(raw_mPa)
         spike = self._spike()
+        answered &= ~self._stuck(raw_mPa, dt_us)
         self.bad = self.bad_count = 0
         for k in range(4):
-            self._follow(k, raw_mPa[k], answered >> k & 1 and k != spike, dt_us)
+            self._follow(k, raw_mPa[k], answered >> k & 1 and k != spike)
             if self._faults[k] >= _BAD_AFTER:
                 self.bad |= 1 << k
                 self.bad_count += 1
@@ -151,17 +156,29 @@ class Plane:
                 worst = k
         return worst
 
-    def _follow(self, k, mPa, answered, dt_us):
+    def _stuck(self, raw_mPa, dt_us):
+        """Bit mask of the sensors that have frozen. One of them is not believed again before it moves."""
+        stands, still_us, bad = self._stands_mPa, self._still_us, self.bad
+        stuck = 0
+        gone = bad  # and those that are still for so long that it is enough, if all are
+        for k in range(4):
+            if -_STEP_mPa <= raw_mPa[k] - stands[k] <= _STEP_mPa:
+                us = still_us[k] + dt_us
+                if us >= _STUCK_AFTER_US:
+                    stuck |= 1 << k
+                if us >= _ALL_STUCK_AFTER_US:
+                    gone |= 1 << k
+                    us = _ALL_STUCK_AFTER_US
+                still_us[k] = us
+            else:
+                stands[k] = raw_mPa[k]
+                still_us[k] = 0
+        self.still = gone == 15
+        return stuck if self.still or stuck | bad != 15 else stuck & bad
+
+    def _follow(self, k, mPa, believed):
         zeta = self._new_100nm[k]
-        same_us = 0
-        if mPa == self._last_mPa[k]:
-            same_us = self._same_us[k] + dt_us
-            if same_us > _STUCK_AFTER_US:
-                same_us = _STUCK_AFTER_US
-        self._same_us[k] = same_us
-        self._last_mPa[k] = mPa
-        stuck = same_us == _STUCK_AFTER_US and self._is_stuck(k)
-        if answered and _LOWEST_mPa < mPa < _HIGHEST_mPa and zeta > -_ABOVE_WATER_100nm and not stuck:
+        if believed and _LOWEST_mPa < mPa < _HIGHEST_mPa and zeta > -_ABOVE_WATER_100nm:
             if self._faults[k]:
                 self._goods[k] += 1
                 if self._faults[k] < _BAD_AFTER or self._goods[k] >= _GOOD_AFTER:
@@ -171,12 +188,6 @@ class Plane:
             self._goods[k] = 0
             if self._faults[k] < _BAD_AFTER:
                 self._faults[k] += 1
-
-    def _is_stuck(self, k):
-        for other in range(4):
-            if other != k and self._same_us[other] > _MOVING_US:
-                return False
-        return True
 
 
 def _asin(x):

@@ -248,7 +248,7 @@ class Tether:
         words[8] = roll_push
         words[9] = pitch_push
         words[10] = hal.light_permille
-        words[11] = hal.battery_mv
+        words[11] = control.battery_mv
         words[12] = control.saturated | plane.bad << 8
         words[13] = set_point.seq | self.orders.dirty << 8
         words[14] = self.loop_us if self.loop_us < _U16 else _U16

@@ -147,6 +147,8 @@ REASONS = (
     "T3 and T4 are crossed",
     "T4 and T1 are crossed",
     "neighbouring sensors are crossed",
+    "sensors stand still",
+    "a sensor is bad",
 )
 
 ARM_CHECKS = (

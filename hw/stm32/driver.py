@@ -42,7 +42,7 @@ TEXTS: dict[str, tuple[str, str]] = {  # name -> unit and meaning, as people rea
     "net_weight_N": ("N", "weight less buoyancy; a robot that sinks has it positive"),
     "water_kg_m3": ("kg/m3", "998.2 fresh at 20 C, 1025 sea"),
     "curve_battery_mV": ("mV", "battery at which thrust_max_N was found"),
-    "battery_min_mV": ("mV", "below it the robot surfaces; 3.0 V a cell of four"),
+    "battery_min_mV": ("mV", "below it, smoothed over a second, the robot surfaces; 3.0 V a cell of four"),
     "slew_N": ("N", "largest change of a thruster's force in one cycle of 10 ms"),
     **{f"zero_{k}_us": ("us", f"neutral pulse of T{k}") for k in range(1, 9)},
     "pulse_frame_us": ("us", "from one pulse of a thruster to the next, as short as its ESC takes"),

@@ -33,7 +33,7 @@ from hw.twin.physics.body import (
     supply_v,
     thrust_loss,
 )
-from hw.twin.physics.sensors import PA_PER_M, PressureSensors, add_waves, water_pressure_pa
+from hw.twin.physics.sensors import PA_PER_M, BatteryProbes, PressureSensors, add_waves, water_pressure_pa
 from hw.twin.physics.tank import STATE, STEP_S, TICK_NS, Flow, Gyros, Plant, advance, push, set_body
 from hw.twin.scene import (
     AnyEvent,
@@ -100,6 +100,7 @@ class Dive:
         self.gyros = Gyros(seed, self.robots, fleet.navigation is not None and fleet.navigation.gyro)
         self.sensor_faults = SensorFaults(len(robots))
         self.battery_v = np.full(len(robots), OPEN_V)  # without load
+        self._probes = BatteryProbes(seed, self.robots)
         self.lamps = Lamps(seed, self.robots)
         self.escs = Escs(len(robots))
         self.boards: list[Board] = []
@@ -152,7 +153,7 @@ class Dive:
                 self.ticks * TICK_NS // 1000,
                 self._readings_pa[i],
                 self.sensor_faults.answered[i],
-                round(float(self.supply_v[i]) * 1000),
+                self._battery_mv[i],
                 round(self._drawn_a[i] * 100),
                 self.sensor_faults.leak[i],
                 self._rates_cdeg_s[i],
@@ -206,6 +207,7 @@ class Dive:
         supply = supply_v(self.battery_v, drawn_a)
         self.states["thrust_loss"] = thrust_loss(supply)
         self._drawn_a, self.supply_v = drawn_a.tolist(), supply
+        self._battery_mv = self._probes.read_mv(supply)
 
     def _actuate(self, i: int, act: Act) -> None:
         self._to_show.append((act.since_us, i, act))

@@ -74,7 +74,9 @@ class Desk:
         """n control cycles; the pins after the last: clock, 8 pulses, 4 servos, lamp, armed."""
         for _ in range(n):
             self.now_us += 10_000
-            sensors = (self.pressure_pa, self.battery_mv, 100, self.leak, self.answered)
+            ripple_pa = 0.1 * (self.now_us // 10_000 % 3 == 0)  # a sensor that stands still is none
+            pressure_pa = [pa + ripple_pa for pa in self.pressure_pa]
+            sensors = (pressure_pa, self.battery_mv, 100, self.leak, self.answered)
             self.bus.sendall(bus.tick(self.now_us, *sensors, yaw_rate=self.yaw_rate, open_loop=self.open_loop))
             answer = b""
             while len(answer) < bus.ACT_SIZE:

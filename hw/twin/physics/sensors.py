@@ -1,4 +1,5 @@
-"""The four pressure sensors of each robot (MS5837-02BA class), in pascals absolute, 100 samples a second.
+"""The four pressure sensors of each robot (MS5837-02BA class), in pascals absolute, 100 samples a second; its battery's
+probe.
 
 p = p_atm + rho g depth + dynamic pressure + offset + drift + noise, rounded to the sensor's step, one sample late or
 as many as a plant asks for.
@@ -111,6 +112,31 @@ class PressureSensors:
         self._drawn += 1
         drift_pa = self._drift_pa_s * drifted_s(t_s)
         return np.asarray(np.round((self._still_pa + drift_pa + water_pa + noise_pa) / STEP_PA) * STEP_PA)
+
+
+# --- battery: a divider by 11 in front of a converter of 12 bits (hal_stm32), on a supply that ESCs shake ---
+
+PROBE_STEP_MV = 36_300 / 4095
+PROBE_NOISE_MV = 50.0  # standard deviation of one sample; assumed
+
+
+class BatteryProbes:
+    """One for each robot; each robot's noise comes from its own stream."""
+
+    def __init__(self, seed: int, robots: list[str]) -> None:
+        self._rngs = [generator(seed, robot, "battery") for robot in robots]
+        self._noise_mv = np.zeros((BLOCK, len(robots)))
+        self._drawn = 0
+
+    def read_mv(self, supply_v: NDArray[np.float64]) -> list[int]:
+        """What the boards are told of these voltages (n,)."""
+        if self._drawn % BLOCK == 0:
+            for i, rng in enumerate(self._rngs):
+                self._noise_mv[:, i] = rng.normal(0, PROBE_NOISE_MV, BLOCK)
+        mv = 1000.0 * supply_v + self._noise_mv[self._drawn % BLOCK]
+        self._drawn += 1
+        steps = np.rint(np.maximum(mv, 0.0) / PROBE_STEP_MV)
+        return [int(told) for told in steps * PROBE_STEP_MV]
 
 
 # --- waves: a standing wave along the tank, as the pressure sensors see it ---

@@ -38,7 +38,7 @@ class BareHal:
     def __init__(self, flash: dict[str, Any] | None = None) -> None:
         self.pressure_pa = [AIR_PA + 0.3 * PA_PER_M] * 4
         self.answered, self.battery_mv, self.leak = 15, 15000, 0
-        self.open_loop = self.off = False
+        self.open_loop = self.off = self.frozen = False
         self.gravity: tuple[int, int] | None = None
         self.pulses_us = [1500] * 8
         self.servos_us, self.light_permille, self.armed = [1500] * 4, 0, 0
@@ -62,7 +62,9 @@ class BareHal:
 
     @property
     def pressure_mPa(self) -> list[int]:
-        return [round(1000 * pa) for pa in self.pressure_pa]
+        """With a ripple of 0.1 Pa: a sensor that stands still is none."""
+        ripple = 0 if self.frozen else 100 * (self.us // CYCLE_US % 3 == 0)
+        return [round(1000 * pa) + ripple for pa in self.pressure_pa]
 
     def begin_pulses(self, frame_us: int) -> None:
         self.frame_us = frame_us
@@ -164,8 +166,8 @@ class BareBoard:
         self.tick()
         return [(got, said) for got, said in self.frames if got in (wire.ACK, wire.PARAM_VALUE)]
 
-    def greet(self) -> None:
-        self.say(wire.HELLO, wire.PROTOCOL, wire.schema_crc(), 1)
+    def greet(self, host: int = 1) -> None:
+        self.say(wire.HELLO, wire.PROTOCOL, wire.schema_crc(), host)
         self.tick()
 
     def set_point(self, depth_m: float = 0.3, host_ds: int = 7) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import random
 from collections.abc import Callable
 from typing import Any
 
@@ -270,3 +271,77 @@ def test_light_that_nobody_asks_for_any_more_goes_out_within_a_second(armed):
     board.say(wire.SETPOINT, *lit)
     board.tick()
     assert board.hal.light_permille == 600
+
+
+# --- what a program on the bench leaves on ---
+
+
+@pytest.mark.parametrize("mode", [wire.BENCH, wire.STABILISE])
+def test_the_mode_that_a_host_leaves_on_is_not_the_next_ones(mode):
+    board = BareBoard()
+    board.greet()
+    board.answers(wire.MODE, 5, board.boot_id, mode, 3)
+    board.tick(50)
+    board.greet(host=2)
+    board.hold(301)
+    assert board.answers(wire.ARM, 1, board.boot_id)[0][1][2] == wire.OK
+    board.hold(50)
+    assert board.control.mode == wire.HOLD and board.hal.pulses_us != [1500, 1500, 1560, *[1500] * 5]
+
+
+def test_nor_does_it_arm_a_robot_whose_wires_nobody_has_checked():
+    board = BareBoard(BareHal({"tare_pa": [AIR_PA] * 4}))
+    board.greet()
+    board.answers(wire.MODE, 5, board.boot_id, wire.BENCH, 3)
+    board.greet(host=2)
+    board.hold(301)
+    assert board.answers(wire.ARM, 1, board.boot_id)[0][1][2] == wire.REFUSED
+
+
+def test_a_thruster_that_turns_on_the_bench_stops_when_another_host_greets():
+    board = BareBoard()
+    board.greet()
+    board.answers(wire.MODE, 5, board.boot_id, wire.BENCH, 3)
+    board.arm(req_id=6)
+    board.hold(5)
+    board.greet()
+    assert board.hal.pulses_us[2] == 1560, "the same host may greet again"
+    board.greet(host=2)
+    board.tick(4)
+    assert board.hal.pulses_us == [1500] * 8 and board.control.state == wire.DISARMED
+    assert (wire.EV_DISARMED, wire.REASONS.index("host silent")) in {(e[1], e[5]) for e in board.heard(wire.EVENT)}
+
+
+# --- a battery's noise ---
+
+
+def test_one_low_sample_of_the_battery_refuses_no_order_to_arm():
+    board = BareBoard()
+    board.greet()
+    board.hold(301)
+    board.hal.battery_mv = 11_000
+    assert board.answers(wire.ARM, 1, board.boot_id)[0][1][2] == wire.OK
+    board.hal.battery_mv = 15_000
+    board.hold(2)
+    telemetry = board.heard(wire.TELEM)[-1]
+    assert not telemetry[3] & wire.FLAG_BATTERY and telemetry[27] > 14_900, "nor is it told"
+
+
+@pytest.mark.parametrize(("mv", "ends"), [(12_100, "none"), (11_900, "battery low")])
+def test_a_battery_is_low_by_what_it_says_in_the_mean(mv, ends):
+    board, dice = BareBoard(), random.Random(4)
+    board.arm()
+    for _ in range(600):
+        board.hal.battery_mv = round(dice.gauss(mv, 150))
+        board.hold(1)
+    assert ladder(board)[1] == ends
+
+
+def test_a_battery_that_has_just_been_plugged_in_is_believed_at_once():
+    board = BareBoard()
+    board.hal.battery_mv = 100  # on USB
+    board.hold(100)
+    assert board.control.battery_low
+    board.hal.battery_mv = 15_000
+    board.hold(1)
+    assert not board.control.battery_low and board.control.battery_mv == 15_000

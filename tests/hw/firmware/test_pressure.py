@@ -75,16 +75,49 @@ def test_one_missed_answer_is_no_fault():
     assert seen.bad == 0b1000
 
 
-def test_stuck_only_while_the_others_move():
-    seen = pressure.Plane(wire.PA_PER_M)
-    seen.tare_mPa = AIR
-    still = sensors(0.4, 0, 0)
-    for _ in range(600):
-        seen.step(still, 15, CYCLE_US)
-    assert seen.bad == 0, "a quiet tank is no fault"
-    for i in range(600):
-        seen.step([still[0], *(mPa + 1000 * (i % 7) for mPa in still[1:])], 15, CYCLE_US)
-    assert seen.bad == 0b0001
+def frozen(which: int, seconds: float, seen: Any, by_mPa: int = 0) -> int:
+    """Let the sensors in this mask repeat themselves, or creep by so much in all. Those that are bad then."""
+    for i in range(round(seconds * 100)):
+        readings = sensors(0.4, 0, 0)
+        for k in range(4):
+            readings[k] += by_mPa * i // 100 if which >> k & 1 else 1000 * (i % 7)
+        seen.step(readings, 15, CYCLE_US)
+    return int(seen.bad)
+
+
+@pytest.mark.parametrize("which", [0b0001, 0b0110, 0b0101, 0b1110])
+@pytest.mark.parametrize("by_mPa", [0, 40])
+def test_sensors_that_stand_still_while_another_moves_have_frozen(which, by_mPa):
+    """By less than a step of the converter is still."""
+    seen = watch(sensors(0.4, 0, 0))
+    assert frozen(which, 1.0, seen, by_mPa) == 0
+    assert frozen(which, 0.1, seen) == which and not seen.still
+    assert frozen(0, 0.9, seen) == which, "not believed again at once"
+    assert frozen(0, 0.3, seen) == 0
+
+
+def test_where_all_stand_still_nobody_is_believed_after_two_seconds():
+    seen = watch(sensors(0.4, 0, 0))
+    assert frozen(15, 1.9, seen) == 0 and not seen.still
+    assert frozen(15, 0.3, seen) == 15 and seen.still
+    assert frozen(15, 9.0, seen) == 15, "nor later"
+    assert frozen(0b0011, 1.5, seen) == 0b0011, "but those that move again"
+
+
+def test_one_that_has_frozen_stays_bad_when_the_others_freeze_too():
+    seen = watch(sensors(0.4, 0, 0))
+    assert frozen(0b0001, 2.0, seen) == 0b0001
+    assert frozen(15, 1.9, seen) == 0b0001
+    assert frozen(15, 0.3, seen) == 15 and seen.still
+
+
+def test_a_dead_sensor_moves_nothing():
+    """Its place holds what it said last, or noise of the bus."""
+    seen, readings = watch(sensors(0.4, 0, 0)), sensors(0.4, 0, 0)
+    for i in range(250):
+        readings[3] += 1000 * (i & 1)
+        seen.step(readings, 0b0111, CYCLE_US)
+    assert seen.still
 
 
 def test_a_shifted_sensor_is_noticed_but_not_named():

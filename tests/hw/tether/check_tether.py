@@ -58,6 +58,7 @@ control = Thing(
     ladder=failsafe.Ladder(),
     mode=0,
     leak=False,
+    battery_mv=15000,
     battery_low=False,
     killed=False,
     state=1,

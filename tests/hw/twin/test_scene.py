@@ -22,7 +22,7 @@ from hw.twin.optics.lens import Vcm, draw_lens
 from hw.twin.optics.painter import Outline, Painter
 from hw.twin.optics.raycast import Eye, Moment
 from hw.twin.physics.body import GIMBAL_CAMERA, NOMINAL_V, OHM, gimbal
-from hw.twin.physics.sensors import NOISE_M
+from hw.twin.physics.sensors import NOISE_M, PROBE_NOISE_MV, BatteryProbes
 from hw.twin.physics.tank import TICK_NS
 from hw.twin.scene import (
     KINDS,
@@ -453,17 +453,26 @@ def test_a_leak_is_told_to_one_board():
 def test_the_battery_sags_under_thrust_and_thrust_with_the_battery():
     made = boardless_dive()
     run(made, 1)
-    assert made.boards[0].ticks[-1][3:5] == (BATTERY_MV, CURRENT_10MA)
+    millivolts, drawn_10ma = made.boards[0].ticks[-1][3:5]
+    assert drawn_10ma == CURRENT_10MA and millivolts == pytest.approx(BATTERY_MV, abs=200)
     made._pulses_us[0], made.boards[0].driving = 1900.0, True
     run(made, 200)
     amperes, volts = made._drawn_a[0], made.supply_v[0]
     assert volts == pytest.approx(NOMINAL_V - OHM * (amperes - CURRENT_10MA / 100))
     assert 12.0 < volts < 13.0
     full_n = made.states["thrust_n"][0].sum()
-    assert made.boards[0].ticks[-1][3] == pytest.approx(1000 * volts, abs=1)
+    assert made.boards[0].ticks[-1][3] == pytest.approx(1000 * volts, abs=200)
     made.set_battery("r1", 12.0)
     run(made, 200)
     assert made.states["thrust_n"][0].sum() < 0.85 * full_n
+
+
+def test_a_batterys_probe_is_noisy_and_says_no_less_than_nothing():
+    probes = BatteryProbes(3, ["r1", "r2"])
+    told = np.array([probes.read_mv(np.array([14.8, 0.0])) for _ in range(4000)])
+    assert told[:, 0].std() == pytest.approx(PROBE_NOISE_MV, rel=0.05)
+    assert told[:, 0].mean() == pytest.approx(14_800, abs=5) and told[:, 1].min() == 0
+    assert np.diff(np.unique(told[:, 0])).min() >= 8, "a converter has steps"
 
 
 def test_a_thruster_dies_and_another_runs_backwards():
