@@ -16,10 +16,11 @@ _BAD_AFTER = const(5)  # faulty readings in a row (50 ms); below that the last g
 _GOOD_AFTER = const(100)  # good readings in a row (1 s)
 _SPIKE_100nm = const(500000)  # who leaves the others' plane by more in a cycle is doubted, for _BAD_AFTER cycles
 # A sensor that measures is never still: its noise is some 50 of the converter's steps, which are 0.044 Pa. One that is
-# while another moves has frozen; where all are, they have together, and nothing that moves is needed to tell.
+# while another moves has frozen; where all are, they have together, and nothing that moves is needed to tell. Fifteen
+# readings are enough, and on its way to another depth a robot that goes by frozen ones for a second turns over.
 _STEP_mPa = const(50)
-_STUCK_AFTER_US = const(1000000)
-_ALL_STUCK_AFTER_US = const(2000000)
+_STUCK_AFTER_US = const(300000)
+_ALL_STUCK_AFTER_US = const(600000)
 _PARITY_LIMIT_100nm = const(200000)
 _PARITY_FOR_US = const(500000)
 # Zeros drift as sensors warm up, by millimetres in ten minutes. Parity that grows so slowly is followed and is no
