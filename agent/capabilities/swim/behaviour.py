@@ -14,6 +14,7 @@ from typing import NamedTuple
 from agent.capabilities.swim.barrier import FORCE_N, MOMENT_NM, Planar, Reference
 from agent.capabilities.swim.pose_filter import Belief, Hull, Wrench, damping, turn_damping
 from agent.capabilities.swim.search import (
+    Approach,
     Hunt,
     Surroundings,
     facing,
@@ -271,6 +272,7 @@ class Progress(NamedTuple):
     turned_first: float  # `turned` at the start
     there_ns: int | None = None  # since when it is where it shall be
     way: float = 0.0  # along an orbit, rad
+    approach: Approach = Approach()  # to the place of Goto
     stage: Stage = Stage()  # of a trial
     pursuit: Pursuit | None = None  # of a target that is followed
     hunt: Hunt = Hunt()  # for a target that is not known
@@ -306,6 +308,9 @@ def reference(
         case Goto():
             progress = progress._replace(yaw=_yaw_of_way(what, progress, pose, watched_m, around.tank_m))
             to = Reference((what.x_m, what.y_m), progress.yaw, depth_m=what.depth_m)
+            off_m = math.dist(to.place_m, pose[:2])
+            approach = Approach() if off_m < NEAR_M else progress.approach.at(off_m, passed_ns)
+            progress = progress._replace(approach=approach)
         case Orbit():
             to, way = _on_orbit(what, progress, around.speed_m_s, passed_ns)
             progress = progress._replace(way=way)

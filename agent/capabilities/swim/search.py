@@ -208,10 +208,20 @@ NEARER_M, GIVES_UP_NS = 0.05, 15_000_000_000
 
 
 class Approach(NamedTuple):
-    """To the end of a lane."""
+    """To a goal, the end of a lane for one."""
 
     nearest_m: float = math.inf
     in_vain_ns: int = 0  # for so long it has come no nearer
+
+    def at(self, off_m: float, passed_ns: int) -> Approach:
+        """Now, so far from it."""
+        if off_m < self.nearest_m - NEARER_M:
+            return Approach(off_m)
+        return self._replace(in_vain_ns=self.in_vain_ns + passed_ns)
+
+    @property
+    def fails(self) -> bool:
+        return self.in_vain_ns > GIVES_UP_NS
 
 
 class Hunt(NamedTuple):
@@ -265,12 +275,11 @@ def _onwards(hunt: Hunt, here: Planar, passed_ns: int) -> Hunt:
     """With the next goal once one is reached, or cannot be."""
     if hunt.next == len(hunt.way):
         return hunt
-    off_m, approach = math.dist(hunt.way[hunt.next], here), hunt.approach
-    in_vain_ns = approach.in_vain_ns + passed_ns
-    if off_m < REACHED_M or in_vain_ns > GIVES_UP_NS:
+    off_m = math.dist(hunt.way[hunt.next], here)
+    approach = hunt.approach.at(off_m, passed_ns)
+    if off_m < REACHED_M or approach.fails:
         return hunt._replace(next=hunt.next + 1, approach=Approach())
-    nearer = off_m < approach.nearest_m - NEARER_M
-    return hunt._replace(approach=Approach(off_m) if nearer else approach._replace(in_vain_ns=in_vain_ns))
+    return hunt._replace(approach=approach)
 
 
 def _with_goal(what: Search, hunt: Hunt, here: Planar, around: Surroundings) -> Hunt:

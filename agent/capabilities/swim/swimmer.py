@@ -38,7 +38,7 @@ from agent.capabilities.swim.pose_filter import Belief, Wrench
 from agent.capabilities.swim.search import Hunt, Surroundings, velocity_m_s
 from agent.core.attitude import Attitude, AttitudeLog, zeros
 from agent.core.capability import BodyAct, CameraAct, CameraView, Situation, SwimPhase
-from agent.core.config import Behaviour, Fleet, Follow, Hold, Pose, Robot, Search, Survey
+from agent.core.config import Behaviour, Fleet, Follow, Goto, Hold, Pose, Robot, Search, Survey
 from agent.core.estimation.interface import Posterior
 from agent.core.estimation.protocols import dynamics, pursued
 from agent.core.linear_algebra import wrap
@@ -50,6 +50,8 @@ from agent.core.step_transaction import SURFACE_M, Revertible
 from agent.core.target_state import TargetEstimate
 
 # --- behaviour in force ---
+
+IN_THE_WAY = "a robot, a target or a wall is in the way, or a pull is too strong; clear the way, or order another place"
 
 
 class ActiveBehaviour(Revertible):
@@ -77,6 +79,13 @@ class ActiveBehaviour(Revertible):
         before = self.progress or start(pose, self._turned(pose), now_ns, self._to)
         to, self.progress = reference(self.behaviour, before, pose, now_ns, around, watched_m)
         return to
+
+    def fault(self) -> str | None:
+        """That it does not get where it is told to, for people."""
+        what, progress = self.behaviour, self.progress
+        if not isinstance(what, Goto) or progress is None or not progress.approach.fails:
+            return None
+        return f"goto: no nearer to ({what.x_m:.2f}, {what.y_m:.2f}) for 15 s: {IN_THE_WAY}"
 
     def _turned(self, pose: Vector) -> float:
         """By how much the body is turned since it was put into the water, rad."""
@@ -277,8 +286,9 @@ class Swimmer(Revertible):
             self.localizer.turning(readings[-1])
 
     def faults(self, now_ns: int) -> tuple[str, ...]:
-        """What is wrong with its sensors, its landmarks and its neighbours, for people."""
-        found = None if self._gyro is None else self._gyro.fault(now_ns), self.localizer.fault()
+        """What is wrong with its sensors, its landmarks, its way and its neighbours, for people."""
+        gyro = None if self._gyro is None else self._gyro.fault(now_ns)
+        found = gyro, self.localizer.fault(), self.active.fault()
         return (*(fault for fault in found if fault is not None), *self.deconfliction.neighbours.faults(now_ns))
 
     def dive(self, depth_m: float) -> None:

@@ -274,6 +274,23 @@ def test_it_keeps_clear_of_a_target_that_it_does_not_watch() -> None:
     assert 0.33 < least_m < 0.45 and one.agent.measuring.watched == "ball"
 
 
+def test_it_says_that_it_does_not_get_where_it_is_told_to() -> None:
+    one = FleetInTank(fleet_of([(0.7, 1.0, 0.0), (2.0, 1.0, 0.0)]), seed=1)
+    one.goto("r01", (1.9, 1.0))  # where r02 holds
+    for _ in range(200):
+        one.step()
+    r01 = one.robots["r01"].swimmer
+    assert not r01.faults(one.robots["r01"].now_ns)
+    for _ in range(320):
+        one.step()
+    (said,) = r01.faults(one.robots["r01"].now_ns)
+    assert said.startswith("goto: no nearer to (1.90, 1.00) for 15 s: a robot, a target or a wall is in the way")
+    one.goto("r01", (0.7, 1.0))
+    for _ in range(200):
+        one.step()
+    assert not r01.faults(one.robots["r01"].now_ns)
+
+
 def test_moored_robots_get_no_force_and_are_nowhere(swum) -> None:
     _, told = swum
     agent = Agent(fleet(swims=False), "r1", CALIBRATION, incarnation=7)
