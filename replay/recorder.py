@@ -155,6 +155,8 @@ def record(
         log.at_end["not_recorded"] = arrivals.not_recorded()
     if log.failed:  # on the way out
         raise ConfigError(f"{out}: recording stopped: {log.failed}")
+    if log.fault:
+        raise ConfigError(f"{out}: not all was recorded: {log.fault}")
     counts = {**arrivals.counts, **arrivals.refused, **arrivals.raised}
     if any(counts.values()):
         roll.end()
