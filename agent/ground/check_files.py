@@ -27,6 +27,7 @@ from cryptography.exceptions import InvalidSignature
 from agent.core.config import ConfigError, Fleet, Goto, Target, numbers_in, to_install, unit_of
 from agent.core.estimation.fuse import PAIRS
 from agent.core.ranging.camera_model import CameraFit, FocusFit
+from agent.core.ranging.focus import FARTHEST_M, h
 from agent.core.step_transaction import SURFACE_M
 from agent.perception.detection.detectors import colours_too_alike, creature_hues, sought, target_picture
 from agent.perception.tracking.appearance import Box
@@ -157,7 +158,6 @@ def links(fleet: Fleet) -> Iterator[Finding]:
 OPEN_FILES = 1024  # that a process may have at once: fifty links in full mesh took 119 of them
 HOUR_BYTES = 1.2e9  # what a robot records in an hour, at most: 30 MB in the 90 s of a demo
 LEAST_R2 = 0.9  # of a focus curve: below it some peaks were not the board's
-FARTHEST_M = 20.0  # that a calibrated lens position is sharp at
 F_WIDTHS = 0.3, 6.0  # focal length in water, in widths of the picture
 GAIN, ZERO_DEG = (0.5, 2.0), (-15.0, 15.0)  # of a servo
 GAMMA = 1.0, 3.0
@@ -188,11 +188,9 @@ def focus_doubts(focus: FocusFit | None) -> Iterator[str]:
         return
     if focus.r2 < LEAST_R2:
         yield f"its focus curve misses what it was fitted to by {1e3 * focus.rmse_m:.0f} mm rms"
-    ends = focus.lowest, focus.highest
-    ranges_m = [math.inf if rho == focus.rho0 else focus.u_inf_m + focus.b_m / (rho - focus.rho0) for rho in ends]
-    if focus.lowest <= focus.rho0 <= focus.highest or not all(0.0 < u_m < FARTHEST_M for u_m in ranges_m):
-        sharp = " and ".join(f"{rho} at {u_m:.3g} m" for rho, u_m in zip(ends, ranges_m, strict=True))
-        yield f"by its focus curve (u_inf_m, b_m, rho0) the lens positions {sharp} are sharp"
+    if None in (h(focus, focus.lowest), h(focus, focus.highest)):
+        ends = f"{focus.lowest} and {focus.highest} are not both sharp within {FARTHEST_M:g} m"
+        yield f"by its focus curve (u_inf_m, b_m, rho0) lens positions {ends}"
 
 
 def camera_doubts(camera: CameraFit) -> Iterator[str]:
