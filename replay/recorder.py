@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 from agent.clock import machine
 from agent.clock.clock import Clock
 from agent.core import topics
-from agent.core.codec import Refusal, decode, encode
+from agent.core.codec import Refusal, decode, encode, printable
 from agent.core.config import ConfigError, Fleet, dump, to_install
 from agent.core.messages import SCHEMA
 from agent.core.ranging.camera_model import Calibration
@@ -50,15 +50,22 @@ NAMED = 5  # robots in a line
 
 
 class RollCall:
-    """`look` is given the names of all who were heard so far, again and again; `say` gets a line for a person."""
+    """`look` is given the names of all who were heard so far, and of all whom these speak to, again and again; `say`
+    gets a line for a person."""
 
     def __init__(self, fleet: Fleet, say: Callable[[str], None]) -> None:
         self._fleet, self._say = fleet, say
         self._told: frozenset[str] | None = None  # who was heard when it was last said; None: too early to tell
+        self._lacking: set[str] = set()  # robots that the fleet file lacks, which was said
         self._until_s = machine.monotonic_s() + SILENCE_S
 
-    def look(self, heard: Collection[str]) -> None:
-        """Say after a while who is missing, and then who has come for the first time."""
+    def look(self, heard: Collection[str], spoken_to: Collection[str] = ()) -> None:
+        """Say after a while who is missing, and then who has come for the first time; and whom the file lacks."""
+        for robot in sorted({*heard, *spoken_to} - self._fleet.robot.keys() - self._lacking):
+            if len(self._lacking) < NAMED:  # anybody can make names up
+                what = "give the fleet file that the agents were started with"
+                self._say(f"{printable(robot)[:40]} is of this fleet, and its file lacks it; {what}")
+                self._lacking.add(robot)
         now = frozenset(self._fleet.robot).intersection(heard)
         if self._told is None:
             if machine.monotonic_s() >= self._until_s:
@@ -142,12 +149,14 @@ def record(
                 raise ConfigError(f"{out}: recording stopped: {log.fault}")
             if stuck is not (stuck := log.fault is not None):
                 warn(f"{out}: {log.fault or 'the disk answers again; info says what was lost'}")
-            roll.look(arrivals.robots)
+            roll.look(arrivals.robots, arrivals.spoken_to)
         for entry in arrivals.drain():
             log.put(entry)
         log.at_end["not_recorded"] = arrivals.not_recorded()
     if log.failed:  # on the way out
         raise ConfigError(f"{out}: recording stopped: {log.failed}")
+    if log.fault:
+        raise ConfigError(f"{out}: not all was recorded: {log.fault}")
     counts = {**arrivals.counts, **arrivals.refused, **arrivals.raised}
     if any(counts.values()):
         roll.end()
@@ -178,6 +187,7 @@ class Arrivals:
         self.refused: Counter[str] = Counter()  # what is in no file, by reason
         self.raised: Counter[str] = Counter()  # messages that made trouble, by kind; their bytes are recorded
         self.robots: set[str] = set()  # that were heard, or came and went
+        self.spoken_to: set[str] = set()  # by those
         self._backlog = Backlog(BACKLOG_MESSAGES, BACKLOG_BYTES)
         self._clock = clock
         self._keys: set[str] = set()
@@ -218,6 +228,8 @@ class Arrivals:
             row = topics.match(entry.channel)
             self.counts[row[0].name if row else "alive"] += 1
             self.robots.add(row[1][row[0].writer] if row else entry.channel.rpartition("/")[2])
+            if row is not None and "dst" in row[1]:
+                self.spoken_to.add(row[1]["dst"])
             yield self._decoded(entry, row[0] if row else None)._replace(channel=name(NETWORK, key=entry.channel))
 
     def _decoded(self, entry: Entry, topic: Topic | None) -> Entry:
@@ -335,7 +347,7 @@ def view(
             while not machine.wait(stop, PERIOD_S):
                 for entry in (*arrivals.drain(), *rate.due()):
                     show_all_of(entry, derive, show, arrivals.trouble)
-                roll.look(arrivals.robots)
+                roll.look(arrivals.robots, arrivals.spoken_to)
             roll.end()
             if arrivals.raised:
                 say(f"not shown: {', '.join(f'{count} messages {kind}' for kind, count in arrivals.raised.items())}")

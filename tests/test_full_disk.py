@@ -19,6 +19,7 @@ VERBS = {
     "followed.mp4": ["track", "pictures", "--box", "10,10,40,40", "--out", "followed.mp4"],
     "followed.avi": ["track", "pictures", "--box", "10,10,40,40", "--out", "followed.avi"],
     "followed/000000.png": ["track", "pictures", "--box", "10,10,40,40", "--out", "followed"],
+    "board.pdf": ["calibrate", "board", "--out", "board.pdf"],
     "enhanced/film.mp4": ["enhance", "film.avi", "--out", "enhanced", "--variant", "classic"],
 }
 

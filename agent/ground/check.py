@@ -17,8 +17,9 @@ from agent.ground.check_files import (
     Finding,
     Level,
     address_finding,
-    calibration_finding,
+    calibration_findings,
     certificate_findings,
+    copied_findings,
     disk_finding,
     enhancement_findings,
     files_finding,
@@ -184,19 +185,28 @@ def check(path: Path, robot: str | None, folder: Path) -> Checked:
         found.append(address_finding(fleet, name, path, asked=robot is not None))
         found += robot_findings(fleet, name, path) if name in here else ()
     found += shared_findings(fleet, here if robot is None else [])
+    found += copied_findings(fleet, here if robot is None else [], path)
     for name in watchers_here(fleet, path) if robot is None else ():
         found += certificate_findings(fleet, name, path)
     return Checked((*found, *computer_findings(here, folder)), len(here))
 
 
 def mistakes_in(path: Path) -> Iterator[Finding]:
-    """All rules that the file breaks, where it can be read at all; a person would rather not hear of one at a time."""
+    """All rules that the file breaks, where it can be read at all; a person would rather not hear of one at a time.
+    A number in another unit stands for all that its table breaks by it."""
     try:
         fleet = read_fleet(path)
     except ConfigError as error:
         yield Finding("wrong", "file", str(error))
         return
-    for key, remedy in (*broken_rules(fleet), *broken_extend_rules(fleet)):
+    broken = (*broken_rules(fleet), *broken_extend_rules(fleet))
+    for odd in unit_findings(fleet) if broken else ():
+        key, _, what = odd.text.partition(": ")
+        table = key.rpartition(".")[0] + "."
+        if any(one.startswith(table) for one, _ in broken):
+            broken = tuple(one for one in broken if not one[0].startswith(table))
+            yield Finding("wrong", "file", f"{path}: key '{key}': {what}")
+    for key, remedy in broken:
         yield Finding("wrong", "file", f"{path}: key '{key}': {remedy}")
 
 
@@ -226,7 +236,7 @@ def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
 
 def robot_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
     """What a robot of this computer needs here."""
-    yield calibration_finding(fleet, name, path)
+    yield from calibration_findings(fleet, name, path)
     yield from running_findings(fleet, name, path)
 
 

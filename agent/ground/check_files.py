@@ -4,6 +4,7 @@ record. And the addresses at which robots listen.
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import ipaddress
 import itertools
@@ -11,7 +12,7 @@ import math
 import os
 import resource
 import shutil
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from functools import partial
 from importlib.util import find_spec
@@ -25,6 +26,9 @@ from cryptography.exceptions import InvalidSignature
 
 from agent.core.config import ConfigError, Fleet, Goto, Target, numbers_in, to_install, unit_of
 from agent.core.estimation.fuse import PAIRS
+from agent.core.ranging.camera_model import CameraFit, FocusFit
+from agent.core.ranging.focus import FARTHEST_M, h
+from agent.core.step_transaction import SURFACE_M
 from agent.perception.detection.detectors import colours_too_alike, creature_hues, sought, target_picture
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import check_box, load_box_tracker, model_files
@@ -154,9 +158,12 @@ def links(fleet: Fleet) -> Iterator[Finding]:
 OPEN_FILES = 1024  # that a process may have at once: fifty links in full mesh took 119 of them
 HOUR_BYTES = 1.2e9  # what a robot records in an hour, at most: 30 MB in the 90 s of a demo
 LEAST_R2 = 0.9  # of a focus curve: below it some peaks were not the board's
+F_WIDTHS = 0.3, 6.0  # focal length in water, in widths of the picture
+GAIN, ZERO_DEG = (0.5, 2.0), (-15.0, 15.0)  # of a servo
+GAMMA = 1.0, 3.0
 
 
-def calibration_finding(fleet: Fleet, name: str, path: Path) -> Finding:
+def calibration_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
     """The camera's calibration. One of the twin is made by each demo for itself."""
 
     try:
@@ -164,13 +171,54 @@ def calibration_finding(fleet: Fleet, name: str, path: Path) -> Finding:
     except ConfigError as error:
         absent = not (path.parent / fleet.robot[name].calibration).exists()
         if absent and fleet.robot[name].camera.startswith("twin:"):
-            return Finding("warning", name, f"{error} (a demo makes its own)")
-        return Finding("wrong", name, str(error))
-    told, focus = f"{fleet.robot[name].calibration}, made {made.made}", made.focus
-    if focus is None or focus.r2 >= LEAST_R2:
-        return Finding("ok", name, told)
-    misses = f"its focus curve misses what it was fitted to by {1e3 * focus.rmse_m:.0f} mm rms; calibrate again"
-    return Finding("warning", name, f"{told}: {misses}")
+            yield Finding("warning", name, f"{error} (a demo makes its own)")
+        else:
+            yield Finding("wrong", name, str(error))
+        return
+    told = fleet.robot[name].calibration
+    doubts = [*focus_doubts(made.focus), *camera_doubts(made.camera)]
+    yield from (Finding("warning", name, f"{told}: {doubt}; calibrate again") for doubt in doubts)
+    if not doubts:
+        yield Finding("ok", name, f"{told}, made {made.made}")
+
+
+def focus_doubts(focus: FocusFit | None) -> Iterator[str]:
+    """What no lens in a tank does."""
+    if focus is None:
+        return
+    if focus.r2 < LEAST_R2:
+        yield f"its focus curve misses what it was fitted to by {1e3 * focus.rmse_m:.0f} mm rms"
+    if None in (h(focus, focus.lowest), h(focus, focus.highest)):
+        ends = f"{focus.lowest} and {focus.highest} are not both sharp within {FARTHEST_M:g} m"
+        yield f"by its focus curve (u_inf_m, b_m, rho0) lens positions {ends}"
+
+
+def camera_doubts(camera: CameraFit) -> Iterator[str]:
+    """Numbers of a camera and of its servos that are hardly meant."""
+    limits: dict[str, tuple[float, float]] = {
+        "f_px": (F_WIDTHS[0] * camera.width_px, F_WIDTHS[1] * camera.width_px),
+        "cx_px": (camera.width_px / 3, 2 * camera.width_px / 3),
+        "cy_px": (camera.height_px / 3, 2 * camera.height_px / 3),
+        **{f"{axis}_gain": GAIN for axis in ("pan", "tilt")},
+        **{f"{axis}_zero_deg": ZERO_DEG for axis in ("pan", "tilt")},
+        "gamma": GAMMA,
+    }
+    for key, (least, most) in limits.items():
+        if not least <= (value := getattr(camera, key)) <= most:
+            yield f"[camera] {key} is {value:.4g}; {least:g} to {most:g} are usual"
+
+
+def copied_findings(fleet: Fleet, names: Sequence[str], path: Path) -> Iterator[Finding]:
+    """Robots of which one has the lens of another, number by number."""
+    whose: dict[FocusFit, str] = {}
+    for name in names:
+        with contextlib.suppress(ConfigError):
+            focus = own_calibration(fleet, name, path).focus
+            if focus is not None and (other := whose.setdefault(focus, name)) != name:
+                files = fleet.robot[name].calibration, fleet.robot[other].calibration
+                if files[0] != files[1]:
+                    text = f"{files[0]}: its [focus] is that of {other}; each lens needs its own: calibrate {name}"
+                    yield Finding("warning", name, text)
 
 
 def key_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
@@ -230,6 +278,9 @@ FRAME_US = 1e5  # from frame to frame of a slow camera: its rows are read within
 VALID_S, VALID = 5.0, 10.0  # what a slow network needs, s, and iterations
 UNITS = {"m": "metres", "deg": "degrees", "us": "microseconds", "s": "seconds", "px": "pixels"}
 BESIDE_M = 0.1  # between the middles of two robots: nearer, one is where the other is
+RING_M = 0.34  # across the thrusters of a robot
+TURN_DEG = 360.0
+WATER_INDEX = 1.3  # less than any water has
 UNDER_M = 0.08  # what a robot has below its middle: half of the hull in the twin
 MIRRORED = frozenset({186, 314, 487, 548})  # tags that read as another in the mirror of the surface
 
@@ -259,16 +310,33 @@ def unit_findings(fleet: Fleet) -> Iterator[Finding]:
         least, most = limits[key]
         do = f"write {unit}" if (unit := UNITS.get(unit_of(key))) else "correct it"
         yield Finding("warning", "fleet", f"{key}: {first:g}; {least:g} to {most:g} are usual: {do}")
-    yaws = {name: robot.pose.yaw_deg for name, robot in fleet.robot.items() if robot.pose is not None}
-    if all(abs(yaw) <= math.tau for yaw in yaws.values()):
-        broken = next((name for name, yaw in yaws.items() if yaw != round(yaw)), None)
-        if broken is not None:
-            text = f"robot.{broken}.pose.yaw_deg: {yaws[broken]:g} degrees; is it in radians? That would be"
-            yield Finding("warning", "fleet", f"{text} {math.degrees(yaws[broken]):.1f} degrees: write degrees")
+    yield from yaw_findings(fleet)
+    if fleet.water.kind != "air" and (index := fleet.water.refractive_index) < WATER_INDEX:
+        text = f"water.refractive_index: {index:g} is no water's; remove it, 1.333 is meant then"
+        yield Finding("warning", "fleet", text)
+    if not any(msgspec.to_builtins(fleet.budget).values()):
+        text = "budget: all are 0, as if nothing were ever off; remove what you have not measured"
+        yield Finding("warning", "fleet", text)
+
+
+def yaw_findings(fleet: Fleet) -> Iterator[Finding]:
+    """Headings in radians, of all robots or of one: nobody surveys to a thousandth of a degree; and of many turns."""
+    yaws = {name: robot.pose.yaw_deg for name, robot in fleet.robot.items()}
+    digits = 0 if all(abs(yaw) <= math.tau for yaw in yaws.values()) else 2
+    for name, yaw in yaws.items():
+        said = f"robot.{name}.pose.yaw_deg: {yaw:g} degrees"
+        if abs(yaw) > TURN_DEG:
+            yield Finding("warning", "fleet", f"{said} are more than a turn; correct it")
+        elif abs(yaw) <= math.tau and yaw != round(yaw, digits):
+            text = f"{said}; is it in radians? That would be {math.degrees(yaw):.1f} degrees: write degrees"
+            yield Finding("warning", "fleet", text)
+            if digits == 0:
+                return  # the others are as this one
 
 
 def place_findings(fleet: Fleet) -> Iterator[Finding]:
-    """Robots that are in one place, lie on the floor or share a calibration, and tags that are better not used."""
+    """Robots that are in one place, have no room, lie on the floor or share a calibration, and tags that are better not
+    used."""
     for (one, a), (other, b) in itertools.combinations(fleet.robot.items(), 2):
         if a.calibration == b.calibration and host_and_port(a.listen)[0] == host_and_port(b.listen)[0]:
             text = f"{one} and {other} have one calibration, {a.calibration}; each camera needs its own"
@@ -276,10 +344,17 @@ def place_findings(fleet: Fleet) -> Iterator[Finding]:
         if math.dist((a.pose.x_m, a.pose.y_m, a.depth_m), (b.pose.x_m, b.pose.y_m, b.depth_m)) < BESIDE_M:
             text = f"{one} and {other} have the same place; correct x_m, y_m or depth_m of one"
             yield Finding("warning", "fleet", text)
+    x_m, y_m, _ = fleet.tank.size_m
+    if min(x_m, y_m) < RING_M or x_m * y_m < len(fleet.robot) * RING_M**2:
+        text = f"tank.size_m: {x_m:g} x {y_m:g} m have no room for {len(fleet.robot)} robots of {RING_M} m"
+        yield Finding("warning", "fleet", f"{text}; write metres")
     deepest_m = fleet.tank.surface_m - UNDER_M
     for name, robot in fleet.robot.items():
         going = {"behaviour": robot.behaviour.depth_m} if isinstance(robot.behaviour, Goto) else {}
         for key, depth_m in {"depth_m": robot.depth_m, **going}.items():
+            if depth_m is not None and depth_m < SURFACE_M:
+                text = f"robot.{name}.{key}: {depth_m:g} m deep, {name} is lifted out of the water; write {SURFACE_M:g}"
+                yield Finding("warning", "fleet", f"{text} m or more")
             if depth_m is not None and depth_m > deepest_m:
                 text = f"robot.{name}.{key}: {depth_m:g} m deep, {name} lies on the floor; {deepest_m:g} m or less"
                 yield Finding("warning", "fleet", f"{text} keeps it off")

@@ -81,6 +81,11 @@ class OrderConsole:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
         self._open.close()
 
+    @property
+    def robots(self) -> frozenset[str]:
+        """Of the fleet file."""
+        return frozenset(self._fleet.robot)
+
     def states(self) -> dict[str, State]:
         """The newest State of each robot that was heard, whichever target it is about."""
         with self._changed:
@@ -104,14 +109,23 @@ class OrderConsole:
         args: Mapping[str, Arg] | None = None,
         answer_s: float = ANSWER_S,
         heard_s: float = HEARD_S,
+        everybody: bool = False,
     ) -> Iterator[tuple[str, Outcome]]:
         """Order these robots, each as soon as it is heard; what became of it at each, as it comes: until `heard_s` for
-        the first sign of a robot, and then `answer_s` for its answer. Raises Refusal for an order that cannot be."""
+        the first sign of a robot, and then `answer_s` for its answer. Raises Refusal for an order that cannot be.
+
+        everybody: robots of this fleet that its file lacks are accounted for as well, and told to stop if this console
+        is linked to them.
+        """
         arguments(verb, args or {})
         order = Order(id=next(self._ids), session=self._session_ns, verb=verb, args=args or {})
         start_s = machine.monotonic_s()
         asked = {robot: _Asked() for robot in robots}
-        while asked:
+        named = set(asked)
+        while asked or (everybody and self._shows_nothing(named) and machine.monotonic_s() - start_s < heard_s):
+            for robot in self._linked() - named if everybody and verb in URGENT else ():
+                named.add(robot)
+                asked[robot] = _Asked()
             for robot, one in asked.items():
                 if (seen := self._sign_of(robot, verb)) is not None and one.begin(machine.monotonic_s()):
                     self._ask(robot, replace(order, seen=seen or None), one, answer_s)
@@ -125,6 +139,30 @@ class OrderConsole:
             for robot, outcome in over.items():
                 del asked[robot]
                 yield robot, outcome
+        for robot, why in self._lacking().items() if everybody else ():
+            if robot not in named:
+                what = "it was told nothing; order by the file that it was started with"
+                yield robot, Outcome(None, f"{why}, and this fleet file lacks it: {what}")
+
+    def _linked(self) -> set[str]:
+        """All that are heard, of the fleet file or not."""
+        with self._changed:
+            return self._there | self._states.keys()
+
+    def _shows_nothing(self, robots: Collection[str]) -> bool:
+        """Whether one of them is there and has not shown yet whom it hears."""
+        with self._changed:
+            return any(robot in self._there and robot not in self._states for robot in robots)
+
+    def _lacking(self) -> dict[str, str]:
+        """Robots of this fleet that its file lacks, and how that is known."""
+        with self._changed:
+            states = dict(self._states)
+        heard = {
+            one.robot: f"{name} hears it" for name, state in states.items() for one in state.neighbours if one.heard
+        }
+        found = {**heard, **dict.fromkeys(self._linked(), "it is heard")}
+        return {robot: why for robot, why in found.items() if robot not in self._fleet.robot}
 
     def _sign_of(self, robot: str, verb: str) -> tuple[int, int] | tuple[()] | None:
         """What an order to it says that was seen; None: nothing was, and it cannot be asked yet. What may come late
@@ -227,6 +265,7 @@ class Typed(NamedTuple):
     robots: tuple[str, ...]
     verb: str
     args: dict[str, Arg]
+    everybody: bool = False  # not these by their names, but all that there are
 
 
 NO_NUMBER = re.compile(r"expected `float[^`]*`, got `str`")
@@ -258,7 +297,7 @@ def typed(fleet: Fleet, fleet_path: Path, verb: str, words: Sequence[str]) -> Ty
         raise ConfigError(NO_NUMBER.sub("is no number; write one, such as 0.3", str(refusal))) from None
     whole = msgspec.to_builtins(what)
     args: dict[str, Arg] = {name: whole[name] for name in given}
-    return Typed(tuple(fleet.robot) if everybody else tuple(dict.fromkeys(names)), verb, args)
+    return Typed(tuple(fleet.robot) if everybody else tuple(dict.fromkeys(names)), verb, args, everybody)
 
 
 def give(fleet: Fleet, fleet_path: Path, console: str, order: Typed) -> Iterator[tuple[str, Outcome]]:
@@ -266,7 +305,7 @@ def give(fleet: Fleet, fleet_path: Path, console: str, order: Typed) -> Iterator
     if why := why_closed(fleet, console):
         raise ConfigError(f"{fleet_path}: {why}")
     with OrderConsole(fleet, console, credentials(fleet, console, fleet_path)) as link:
-        yield from link.orders(order.robots, order.verb, order.args)
+        yield from link.orders(order.robots, order.verb, order.args, everybody=order.everybody)
 
 
 def line(robot: str, outcome: Outcome) -> str:

@@ -307,8 +307,8 @@ def run(
         motors = "motors start when the control module agrees" if arm else "motors stay off (--arm starts them)"
         tell(f"{name}: {motors}; recording {process.log.path}; Ctrl-C ends it\n")
         process.runtime(arm).run(stop)
-    failed = process.log.failed
-    tell(f"{name}: stopped; {f'not recorded to the end: {failed}' if failed else f'recorded {process.log.path}'}\n")
+    fault = process.log.fault
+    tell(f"{name}: stopped; {f'not all was recorded: {fault}' if fault else f'recorded {process.log.path}'}\n")
 
 
 def load_setup(fleet_path: Path, name: str, behaviour: str | None = None) -> Setup:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -17,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 from rich.console import Console
 
-from agent.core.config import Body, ConfigError
+from agent.core.config import Body, ConfigError, write_whole
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import CameraFit
 from agent.perception.tags import Plane, all_tags, green, light_of_bytes, module_px
@@ -59,10 +60,8 @@ def print_board(columns: int, rows: int, square_mm: float, out: Path, console: C
     if out.exists():
         raise ConfigError(f"{out}: is there already; move it away, or name another file with --out")
     paper, drawn = board_figure(columns, rows, square_mm)
-    try:
-        drawn.savefig(out, format="pdf")
-    except OSError as error:
-        raise ConfigError(f"{out}: {error.strerror}") from None
+    drawn.savefig(page := BytesIO(), format="pdf")
+    write_whole(out, page.getvalue())
     console.print(f"{out}: print it on {paper} at 100 %, matt, and glue it flat; its line has to be 100 mm long")
 
 

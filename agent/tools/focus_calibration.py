@@ -8,6 +8,7 @@ import itertools
 import math
 import shutil
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -23,8 +24,9 @@ from scipy.special import ndtri, stdtrit
 
 from agent.core.config import ConfigError, convert, read_toml, write_whole
 from agent.core.linear_algebra import upper
+from agent.core.ranging import focus
 from agent.core.ranging.camera_model import CameraFit, FieldFit, FocusFit, TimingFit, at_lens_position, on_sensor
-from agent.core.ranging.focus import TiltedPeak, as_on_axis, lens_position, port_share, range_variance, shift, with_sag
+from agent.core.ranging.focus import TiltedPeak, as_on_axis, lens_position, port_share, shift, with_sag
 from agent.process.command import Failed, free_name
 from hw.camera.files import read_rows
 
@@ -363,15 +365,8 @@ OPTIONAL = (
 )
 LEVEL_DEG = 3.0  # a lens that looks up or down by less sags by 0.3 lens positions, within the noise of a peak
 GOOD_LEFT_OUT = 0.05  # share of the range: a distance that the others foretell worse is named in the verdict
-
-
 MOST_SHARE = 0.1  # of a range, as the standard deviation of the curve: beyond it a range is a guess
-
-
-def range_share(fit: FocusFit, rho: float) -> float:
-    """Standard deviation of the curve's range at a lens position, as a share of that range."""
-    _, systematic_m2 = range_variance(fit, rho, 0.0)
-    return math.sqrt(systematic_m2) / abs(fit.u_inf_m + fit.b_m / (rho - fit.rho0))
+MOST_APART = 0.2  # of a range, between the curve and the one that it replaces
 
 
 class PaperGauge(NamedTuple):
@@ -393,7 +388,7 @@ def run(table: Path, out: Path | None, console: Console) -> FocusFit:
         fit, left_out = with_sag(replace(fit_focus(rows), field=field), tilted), leave_one_out(rows)
     except CalibrationRefused as error:
         raise ConfigError(f"{table}: {error}") from None
-    known = [(row.u_m, range_share(fit, row.rho)) for row in rows]
+    known = [(row.u_m, focus.range_share(fit, row.rho)) for row in rows]
     worst_m, share = max(known, key=lambda one: one[1])
     if not share <= MOST_SHARE:
         raise ConfigError(
@@ -402,6 +397,11 @@ def run(table: Path, out: Path | None, console: Console) -> FocusFit:
         )
     console.print(result_table(fit, left_out))
     console.print(verdict(fit, left_out))
+    with suppress(ConfigError, KeyError):
+        u_m, share = focus.apart(fit, convert(before["focus"], FocusFit, table), [row.rho for row in rows])
+        if share > MOST_APART:
+            said = f"It differs from the curve that it replaces by {100 * share:.0f} % at {u_m:.2f} m"
+            console.print(f"{said}; are the columns swapped?")
     picture = free_name(table.with_suffix(".png"))
     figure(rows, fit, left_out).savefig(picture)
     console.print(f"picture: {picture}")
@@ -549,7 +549,7 @@ def result_table(fit: FocusFit, left_out: Sequence[LeftOut]) -> Table:
     table.add_column("value", justify="right")
     paper = paper_gauge(fit)
     sigma = [math.sqrt(max(fit.covariance[i], 0.0)) for i in (0, 3, 5)]
-    worst = max(range_share(fit, rho) for rho in (fit.lowest, fit.highest))
+    worst = max(focus.range_share(fit, rho) for rho in (fit.lowest, fit.highest))
     sag = "not measured" if fit.sag_sigma is None else f"{fit.sag:.3g} ± {fit.sag_sigma:.2g}"
     for what, value in (
         ("u_inf, m", f"{fit.u_inf_m:.5g} ± {sigma[0]:.2g}"),

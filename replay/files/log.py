@@ -21,6 +21,7 @@ import msgpack
 
 from agent.clock import machine
 from agent.core.codec import prepare
+from agent.core.config import ConfigError
 from replay.files.channels import DROPS, Backlog, Drop, Entry, entry_on
 from replay.files.info import ChannelInfo, Info, info
 from replay.files.mcap_file import Part, active, part, parts, unused
@@ -32,6 +33,7 @@ logger = logging.getLogger(__name__)
 
 WRITE_S = 0.3  # the thread writes and flushes this often; what SIGKILL can take away
 SYNC_S = 5.0  # and forces it to the disk this often; what a power cut can take away
+ROOM = 2.0  # times the floor have to be free before recording goes on
 CLOSE_S = 10.0  # a disk that takes longer to finish a file is given up
 STUCK_S = 10.0  # a disk that takes nothing for so long does not answer
 DERIVED_CHANNELS = 20_000  # a third of what the format can number: the rest is for what was really there
@@ -56,8 +58,9 @@ class LogWriter:
     """Writes a recording from a thread of its own; the caller appends to a bounded backlog and never waits for a disk.
 
     A full backlog loses frames first, then its oldest messages; both are counted and noted on the channel DROPS.
-    Whatever goes wrong in the thread ends the recording and stands in `failed`; the caller goes on. `at_end` are facts
-    for the last note, which the caller may add to until the end. Context manager.
+    Whatever goes wrong in the thread ends the recording and stands in `failed`; the caller goes on. A disk without room
+    stands there too, and the next part begins once there is room again. A file that is removed or moved away is begun
+    anew. `at_end` are facts for the last note, which the caller may add to until the end. Context manager.
     """
 
     def __init__(
@@ -76,7 +79,8 @@ class LogWriter:
         """
         self.path = path
         self.at_end: dict[str, object] = {}
-        self.failed: str | None = None
+        self.failed: str | None = None  # why nothing is recorded any more, or for now
+        self._lost: str | None = None  # what was recorded and is there no more
         self._attachments = attachments or {}
         self._run = run
         self._limits, self._splits_at, self._derive = limits, splits_at, derive
@@ -85,6 +89,7 @@ class LogWriter:
         self._not_derived: Counter[str] = Counter()  # messages without viewer channels, by what was wrong
         self._busy_since_s: float | None = None  # since when the disk has been at it; None: it waits
         self._wake = threading.Event()
+        self._waits = False  # for room on the disk
         self._cause: str | None = None  # why the recording ends; None: it does not yet
         self._number = 1  # of the part
         self._thread = threading.Thread(target=self._work, name=f"log {path.name}", daemon=True)
@@ -101,7 +106,7 @@ class LogWriter:
 
     def put(self, entry: Entry) -> None:
         """Queue one message; what it says of its channel counts at the channel's first message only."""
-        if not self.failed and self._backlog.put(entry):
+        if (not self.failed or self._waits) and self._backlog.put(entry):
             self._wake.set()
 
     def close(self, cause: str = "clean") -> None:
@@ -115,10 +120,11 @@ class LogWriter:
 
     @property
     def fault(self) -> str | None:
-        """Why nothing is recorded: the recording has ended, or the disk does not answer. None: all is well."""
+        """Why not all is recorded: the recording has ended, the disk does not answer, or what was recorded was taken
+        away. None: all is well."""
         if self.failed is None and self.stuck_s > STUCK_S:
             return f"the disk has taken nothing for more than {STUCK_S:.0f} s"
-        return self.failed
+        return self.failed or self._lost
 
     @property
     def stuck_s(self) -> float:
@@ -132,8 +138,11 @@ class LogWriter:
         try:
             self._write_all()
         except Exception as error:  # noqa: BLE001 - whatever it is, the robot goes on without its recording
-            why = error.strerror if isinstance(error, OSError) else None
-            self.failed = why or f"{type(error).__name__}: {error}"
+            self.failed = f"{type(error).__name__}: {error}"
+            if isinstance(error, ConfigError):
+                self.failed = str(error)
+            elif isinstance(error, OSError) and error.strerror:
+                self.failed = f"{error.strerror}; see to {self._folder}, and start again"
             logger.error("%s: recording stopped: %s", active(self._part.path), self.failed)
             self._part.abandon()
         finally:
@@ -146,10 +155,12 @@ class LogWriter:
         while True:
             self._busy_since_s = machine.monotonic_s()
             last = self._cause is not None  # looked at before the queue: what was queued before close is written
+            if self._part.is_gone():
+                self._begin_again()
             if (full := self._floor_reached()) is not None:
-                self.failed = full
-                logger.error("%s: recording stopped: %s", self._part.path, full)
-                return self._end_part("disk_floor")
+                self._end_part("disk_floor")
+                if not self._room_again(full):
+                    return None
             self._write_waiting()
             self._part.flush()
             if last:
@@ -160,6 +171,23 @@ class LogWriter:
             self._busy_since_s = None
             machine.wait(self._wake, WRITE_S)
             self._wake.clear()
+
+    def _room_again(self, full: str) -> bool:
+        """Wait until there is room, and begin the next part; False: the recording was closed meanwhile."""
+        self._waits, self.failed = True, full
+        logger.error("%s: recording stopped: %s", self._part.path, full)
+        self._busy_since_s = None
+        while self._floor_reached(ROOM) is not None:
+            if self._cause is not None:
+                return False
+            machine.wait(self._wake, WRITE_S)
+            self._wake.clear()
+        self._number += 1
+        self._part = Part(part(self.path, self._number))
+        self._begin_part()
+        self._waits, self.failed = False, None
+        logger.warning("%s: recording goes on", self._part.path)
+        return True
 
     def _write_waiting(self) -> None:
         entries, drops = self._backlog.take()
@@ -209,6 +237,16 @@ class LogWriter:
         self._part = new
         self._begin_part()
 
+    def _begin_again(self) -> None:
+        file = active(self._part.path)
+        self._lost = (
+            f"{file} was removed or moved away; from then on it is recorded anew: leave the files until the end"
+        )
+        logger.error("%s", self._lost)
+        self._part.abandon()
+        self._part = Part(self._part.path)
+        self._begin_part()
+
     def _end_part(self, cause: str) -> None:
         self._note_clock("end")
         facts = {"cause": cause, "dropped": json.dumps(self._dropped), **self.at_end}
@@ -224,13 +262,18 @@ class LogWriter:
         age_s = machine.monotonic_s() - self._began_s
         return self._part.bytes >= self._limits.part_bytes or age_s >= self._limits.part_s
 
-    def _floor_reached(self) -> str | None:
+    @property
+    def _folder(self) -> Path:
+        return self.path.parent.absolute()
+
+    def _floor_reached(self, times: float = 1.0) -> str | None:
+        """Where less is free than so many times the floor, what to do about it."""
         total, _, free = shutil.disk_usage(self.path.parent)
         floor = min(self._limits.floor_bytes, round(self._limits.floor_share * total))
-        if free >= floor:
+        if free >= times * floor:
             return None
-        where = self.path.parent.absolute()
-        return f"{free / 1e6:.0f} MB free in {where}, the floor is {floor / 1e6:.0f} MB; make room there"
+        room = f"make room there, {ROOM * floor / 1e6:.0f} MB in all"
+        return f"{free / 1e6:.0f} MB free in {self._folder}, the floor is {floor / 1e6:.0f} MB; {room}"
 
 
 def drop_note(channel: str, drop: Drop) -> Entry:

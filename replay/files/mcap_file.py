@@ -256,6 +256,10 @@ class Part:
         """Force everything flushed to the disk: what a power cut cannot take away any more."""
         os.fsync(self._file.fileno())
 
+    def is_gone(self) -> bool:
+        """Whether the file was removed, overwritten by another one, or moved away."""
+        return os.fstat(self._file.fileno()).st_nlink == 0 or not active(self.path).exists()
+
     @property
     def bytes(self) -> int:
         """Flushed so far."""

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from typer.testing import CliRunner
 
 from agent.__main__ import app
-from agent.core.config import dump
+from agent.core.config import CAREFUL, dump
 from agent.core.ranging.camera_model import Calibration
 from agent.ground import check as devices
 from agent.ground import check_files
@@ -101,6 +101,60 @@ def test_a_focus_curve_that_misses_its_own_measurements_is_said(real: Path, port
     assert not any("calibrate again" in line for line in lines(check(checked, "r1", real.parent), "warning"))
     (real.parent / "calibration" / "r1.toml").write_text(dump(known))
     assert any("by 309 mm rms; calibrate again" in line for line in lines(check(checked, "r1", real.parent), "warning"))
+
+
+@pytest.mark.parametrize(
+    ("focus", "camera", "says"),
+    [
+        (
+            {"b_m": -TWIN.b_m},
+            {},
+            "by its focus curve (u_inf_m, b_m, rho0) lens positions 208 and 717 are not both sharp",
+        ),
+        ({"rho0": 400.0}, {}, "by its focus curve"),
+        ({"b_m": 40.0 * TWIN.b_m}, {}, "by its focus curve"),
+        ({}, {"f_px": 11.84}, "[camera] f_px is 11.84; 192 to 3840 are usual"),
+        ({}, {"pan_gain": 0.01745}, "[camera] pan_gain is 0.01745; 0.5 to 2 are usual"),
+        ({}, {"tilt_zero_deg": 32.0}, "[camera] tilt_zero_deg is 32; -15 to 15 are usual"),
+        ({}, {"cx_px": 5.0}, "[camera] cx_px is 5; 213.333 to 426.667 are usual"),
+        ({}, {"gamma": 22.0}, "[camera] gamma is 22; 1 to 3 are usual"),
+    ],
+)
+def test_a_calibration_that_cannot_be_is_said(real: Path, focus: dict, camera: dict, says: str) -> None:
+    known = Calibration(
+        robot="r1",
+        made="2026-01-01",
+        source="a test",
+        focus=replace(TWIN, **focus),
+        camera=replace(TWIN_CAMERA, **camera),
+    )
+    (real.parent / "calibration" / "r1.toml").write_text(dump(known))
+    (line,) = (line for line in lines(check(real, "r1", real.parent), "warning") if "calibrate again" in line)
+    assert line.startswith(f"r1: calibration/r1.toml: {says}")
+
+
+def test_a_lens_that_was_copied_to_another_robot_is_said(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    write_fleet(path, 2, twin=True)
+    (tmp_path / "calibration").mkdir()
+    for name, curve in (("r1", TWIN), ("r2", replace(TWIN, b_m=TWIN.b_m + 1.0))):
+        known = Calibration(robot=name, made="2026-01-01", source="a test", focus=curve, camera=TWIN_CAMERA)
+        (tmp_path / "calibration" / f"{name}.toml").write_text(dump(known))
+    assert not lines(check(path, None, tmp_path), "warning")
+    same = replace(known, focus=TWIN)
+    (tmp_path / "calibration" / "r2.toml").write_text(dump(same))
+    (line,) = lines(check(path, None, tmp_path), "warning")
+    assert line == "r2: calibration/r2.toml: its [focus] is that of r1; each lens needs its own: calibrate r2"
+
+
+def test_tags_in_millimetres_are_one_line(tmp_path: Path) -> None:
+    path = tmp_path / "fleet.toml"
+    text = shipped_fleet("swim").read_text()
+    path.write_text(text.replace("size_m = 0.08", "size_m = 80.0"))
+    found = check(path, None, tmp_path).findings
+    assert [str(one) for one in found] == [
+        f"wrong    file: {path}: key 'landmarks.size_m': 80; 0.01 to 1 are usual: write metres"
+    ]
 
 
 def test_all_that_is_wrong_is_said_at_once(real: Path, tmp_path: Path) -> None:
@@ -283,6 +337,23 @@ def test_angles_that_look_like_radians_and_balls_of_another_unit_are_a_warning(t
         ),
         (r"n/r2.toml", "n/r1.toml", "r1 and r2 have one calibration, calibration/r1.toml; each camera needs its own"),
         (r"(calibration = )", r"depth_m = 0.49\n\1", "r2.depth_m: 0.49 m deep, r2 lies on the floor; 0.42 m or less"),
+        (
+            r"(calibration = )",
+            r"depth_m = 0.02\n\1",
+            "r1.depth_m: 0.02 m deep, r1 is lifted out of the water; write 0.08",
+        ),
+        (r"yaw_deg = 34.0", "yaw_deg = 0.593", "r1.pose.yaw_deg: 0.593 degrees; is it in radians? That would be 34.0"),
+        (r"yaw_deg = 34.0", "yaw_deg = 3400.0", "r1.pose.yaw_deg: 3400 degrees are more than a turn; correct it"),
+        (
+            r"\Z",
+            "\n[budget]\n" + "".join(f"{key} = 0\n" for key in CAREFUL.__struct_fields__),
+            "budget: all are 0, as if nothing were ever off",
+        ),
+        (
+            r'kind = "tap".*',
+            'kind = "tap"\nrefractive_index = 1.0',
+            "water.refractive_index: 1 is no water's; remove it",
+        ),
         (r"pose = \{.*\}", "pose = { x_m = 0.4, y_m = 0.4, yaw_deg = 45.0 }", "r1 and r2 have the same place"),
     ],
 )
@@ -303,6 +374,12 @@ def test_tags_that_read_as_others_in_the_mirror_of_the_surface_are_a_warning() -
     tags = (*fleet.landmarks.tag, replace(fleet.landmarks.tag[0], id=314))
     (found,) = check_files.place_findings(replace(fleet, landmarks=replace(fleet.landmarks, tag=tags)))
     assert "ids 314 can read as others" in found.text
+
+
+def test_robots_that_have_no_room_are_a_warning() -> None:
+    fleet = load_fleet(shipped_fleet("swim"))
+    small = replace(fleet, tank=replace(fleet.tank, size_m=(0.5, 0.45, 0.8)))
+    assert any("0.5 x 0.45 m have no room for" in found.text for found in check_files.place_findings(small))
 
 
 def test_robots_that_swim_and_are_not_linked_are_a_warning() -> None:

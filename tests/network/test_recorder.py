@@ -76,6 +76,28 @@ def test_every_row_is_recorded_as_it_was_sent(
     assert recorder.warnings == []
 
 
+def test_a_robot_that_the_fleet_file_lacks_is_told_of(
+    make_fleet: Callable[..., Fleet],
+    estimate: Callable[..., Estimate],
+    start_recorder: StartRecorder,
+    tmp_path: Path,
+) -> None:
+    fleet = make_fleet(PAIR)
+    alone = msgspec.structs.replace(fleet, robot={"r1": msgspec.structs.replace(fleet.robot["r1"], neighbours=())})
+    recorder = start_recorder(alone, tmp_path / "fleet.mcap")
+    with Transport(fleet, "r1", time.time_ns) as r1:
+
+        def told() -> bool:
+            r1.say(estimate("r1", "r2", 1))
+            return bool(recorder.warnings)
+
+        until(told)
+    recorder.end()
+    assert recorder.warnings == [
+        "r2 is of this fleet, and its file lacks it; give the fleet file that the agents were started with"
+    ]
+
+
 def test_strangers_are_counted_and_bad_payloads_kept(
     make_fleet: Callable[..., Fleet], start_recorder: StartRecorder, tmp_path: Path
 ) -> None:

@@ -47,6 +47,7 @@ def test_nobody_is_heard() -> None:
 def test_one_comes_after_the_other() -> None:
     assert told("r2", "stranger", "r1", "r3", end=True)[1:] == [
         "r2 is heard now; still not heard: r1 at tcp/10.0.0.1:17401, r3 at tcp/10.0.0.3:17401",
+        "stranger is of this fleet, and its file lacks it; give the fleet file that the agents were started with",
         "r1 is heard now; still not heard: r3 at tcp/10.0.0.3:17401",
         "r3 is heard now; that is all",
     ]
@@ -79,3 +80,11 @@ def test_all_are_heard_and_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> N
 def test_many_are_counted() -> None:
     (line,) = told(robots=64)
     assert "r5 at tcp/10.0.0.5:17401, 59 more; start" in line and "r6" not in line
+
+
+def test_whom_the_file_lacks_is_said_once_however_many_there_are() -> None:
+    said: list[str] = []
+    roll = RollCall(fleet(1), said.append)
+    for count in range(9):
+        roll.look({"r1"}, {f"r{k}" for k in range(2, 2 + count)})
+    assert [line.partition(" ")[0] for line in said] == ["r2", "r3", "r4", "r5", "r6"]

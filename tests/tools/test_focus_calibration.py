@@ -2,6 +2,7 @@
 
 import itertools
 import math
+import re
 from pathlib import Path
 
 import msgspec
@@ -337,6 +338,22 @@ def test_nothing_is_lost_when_a_table_is_measured_again(tmp_path: Path, capsys: 
     assert {file.name for file in tmp_path.iterdir()} == {
         "r1.toml", "r1.toml.before", "r1.toml.2.before", "t.csv", "t.png", "t.2.png", "t.3.png"
     }  # fmt: skip
+
+
+def test_a_curve_that_is_not_the_one_it_replaces_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """A table of codes from 150 to 900, and the same one with its columns in each other's place."""
+    rows = [(u, 90.0 + 136.0 / (1e-3 * u)) for u in range(170, 1200, 60)]
+    (tmp_path / "t.csv").write_text("u_mm,code\n" + "".join(f"{u},{code}\n" for u, code in rows))
+    (tmp_path / "swapped.csv").write_text("u_mm,code\n" + "".join(f"{code},{u}\n" for u, code in rows))
+    out, console = tmp_path / "r1.toml", plain_console()
+    for name in ("t.csv", "t.csv"):
+        run(tmp_path / name, out, console)
+    assert "swapped" not in capsys.readouterr().out
+    run(tmp_path / "swapped.csv", out, console)
+    said = capsys.readouterr().out
+    assert re.search(r"differs from the curve that it replaces by 9\d % at 0.89 m; are the columns swapped\?", said), (
+        said
+    )
 
 
 @pytest.mark.parametrize(("name", "text", "expected"), [

@@ -11,7 +11,7 @@ class.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -168,6 +168,19 @@ def range_variance(fit: FocusFit, rho: float, sigma_rho: float) -> tuple[float, 
     c00, c01, c02, c11, c12, c22 = fit.covariance
     systematic = j0 * j0 * c00 + j1 * j1 * c11 + j2 * j2 * c22 + 2.0 * (j0 * j1 * c01 + j0 * j2 * c02 + j1 * j2 * c12)
     return slope * slope * noise * noise, max(systematic, 0.0)
+
+
+def range_share(fit: FocusFit, rho: float) -> float:
+    """Standard deviation of the curve's range at a lens position, as a share of that range."""
+    _, systematic_m2 = range_variance(fit, rho, 0.0)
+    return math.sqrt(systematic_m2) / abs(fit.u_inf_m + fit.b_m / (rho - fit.rho0))
+
+
+def apart(fit: FocusFit, other: FocusFit, rhos: Iterable[float]) -> tuple[float, float]:
+    """Of the ranges at these lens positions that at which the other curve differs most, and by which share of it; 1:
+    the other has none there."""
+    ranges = [(rho, fit.u_inf_m + fit.b_m / (rho - fit.rho0)) for rho in rhos]
+    return max(((u_m, abs((h(other, rho) or 0.0) / u_m - 1.0)) for rho, u_m in ranges), key=lambda one: one[1])
 
 
 class _Point(NamedTuple):

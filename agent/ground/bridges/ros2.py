@@ -223,7 +223,7 @@ def write_bag(path: Path, out: Path) -> int:
     """
     file = open_fleet_file(fleet_recording(path))
     try:
-        with writing(out), suspecting(file.path), Writer(out, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+        with writing(out), Writer(out, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
             return _copied(file, bag)
     except BaseException:
         shutil.rmtree(out, ignore_errors=True)  # half a bag looks like a whole one
@@ -237,9 +237,16 @@ def _copied(file: FleetFile, bag: Writer) -> int:
         for robot in file.fleet.robot
         for name, kind in ours.telling.topics(robot).items()
     }
-    for said in said_in(file.path, ours.rows):
-        to, payload = connections.get("/".join(ours.topic(said.message))), ours.telling.message(said.message)
-        if to is not None and payload is not None:
-            bag.write(to, said.log_time_ns, payload)
+    for heard_ns, topic, payload in _payloads(file, ours):
+        if (to := connections.get(topic)) is not None:
+            bag.write(to, heard_ns, payload)
             count += 1
     return count
+
+
+def _payloads(file: FleetFile, ours: Ros2) -> Iterator[tuple[int, str, bytes]]:
+    """When each message was heard, its topic and its bytes."""
+    with suspecting(file.path):
+        for said in said_in(file.path, ours.rows):
+            if (payload := ours.telling.message(said.message)) is not None:
+                yield said.log_time_ns, "/".join(ours.topic(said.message)), payload

@@ -218,7 +218,8 @@ def give(console: OrderConsole, robots: list[str], verb: str, args: Mapping[str,
         for robot, looked_at in seen.items():
             if robot in newest and _is_behind(looked_at, newest[robot]):
                 raise Refusal("clock", f"the page showed {robot} as it was seconds ago; look at it, and order again")
-    for robot, outcome in console.orders(robots, verb, args):
+    everybody = verb in URGENT and console.robots <= set(robots)
+    for robot, outcome in console.orders(robots, verb, args, everybody=everybody):
         answer = outcome.answer
         if answer is None:
             yield Reply(robot, None, outcome.why, "")

@@ -10,6 +10,7 @@ from agent.core.config import Body, ConfigError, Fleet
 from agent.core.messages import Estimate, Image, Whereabouts
 from agent.core.ranging.camera_model import camera_pose
 from agent.ground.bridges.ros2 import Kind, nodes
+from tests.full_disk import room
 from tests.ground.bridges.states import START_NS, state
 from tests.places import GOLDEN
 from tests.replay.overheard_run import overheard_run
@@ -157,4 +158,15 @@ def test_a_bag_is_made_of_a_fleet_s_recording_or_not_at_all(tmp_path) -> None:
         write_bag(GOLDEN / "outage", tmp_path / "bag")
     with pytest.raises(ConfigError, match="is no recording of a fleet"):
         write_bag(GOLDEN / "outage" / "r1.mcap", tmp_path / "bag")
+    assert not (tmp_path / "bag").exists()
+
+
+def test_a_bag_that_finds_no_room_blames_the_disk_and_not_the_recording(tmp_path) -> None:
+    pytest.importorskip("rosbags", reason="pip install 'aucamp[ros]'")
+    from agent.ground.bridges.ros2 import write_bag
+
+    fleet = overheard_run(GOLDEN / "outage", tmp_path / "fleet.mcap")
+    with room(2000), pytest.raises(OSError, match="File too large") as refused:
+        write_bag(fleet, tmp_path / "bag")
+    assert str(refused.value.filename).startswith(str(tmp_path / "bag"))
     assert not (tmp_path / "bag").exists()

@@ -150,12 +150,14 @@ class Console:
     def __init__(self, newest) -> None:
         self.given: list[str] = []
         self._newest = newest
+        self.robots, self.everybody = frozenset({"r1", "r2"}), False
 
     def states(self):
         return {"r1": self._newest}
 
-    def orders(self, robots, verb, args):
+    def orders(self, robots, verb, args, everybody):
         self.given.append(verb)
+        self.everybody = everybody
         return iter(())
 
 
@@ -170,6 +172,17 @@ def test_an_order_by_a_page_that_was_frozen_does_not_go_out_but_a_stop_does() ->
     assert console.given == ["stop", "arm"]
     with pytest.raises(Refusal):  # it has started again meanwhile
         list(give(console, ["r1"], "arm", {}, {"r1": (NOW_NS - 99, NOW_NS + 4_000_000_000)}))
+
+
+def test_a_stop_for_all_of_the_page_is_for_all_that_there_are() -> None:
+    console = Console(state())
+    for robots, verb, everybody in (
+        (["r1"], "stop", False),
+        (["r1", "r2"], "stop", True),
+        (["r1", "r2"], "arm", False),
+    ):
+        list(give(console, robots, verb, {}, {}))
+        assert console.everybody is everybody
 
 
 class Observer:

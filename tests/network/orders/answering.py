@@ -6,7 +6,7 @@ from pathlib import Path
 
 from agent.core.codec import decode
 from agent.core.config import Fleet
-from agent.core.messages import Answer, Order, State
+from agent.core.messages import Answer, NeighbourState, Order, State
 from agent.core.step_io import Ordered
 from agent.process.transport import Transport
 
@@ -20,6 +20,7 @@ class Loop(threading.Thread):
         self.taken: list[Ordered] = []
         self.works, self.shows, self.ends = threading.Event(), True, threading.Event()
         self.works.set()
+        self.hears: tuple[str, ...] = ()
 
     def run(self) -> None:
         seq = 0
@@ -34,6 +35,7 @@ class Loop(threading.Thread):
                 target="ball",
                 knows="blind",
                 t=0,
+                neighbours=tuple(NeighbourState(robot=name, heard=1) for name in self.hears),
             )
             if self.shows:
                 self.transport.show(state)

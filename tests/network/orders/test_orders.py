@@ -18,7 +18,7 @@ from agent.core.codec import decode, encode, encoding
 from agent.core.config import Access, ConfigError, Fleet, dump
 from agent.core.messages import MAX_ORDER, Answer, Order
 from agent.core.topics import ANSWER
-from agent.ground.console import OrderConsole
+from agent.ground.console import OrderConsole, give, typed, verdict
 from agent.process.links import ALL_WAITING, WAITING
 from agent.process.transport import Observer
 from router_config.settings import observer_config
@@ -122,6 +122,30 @@ def test_one_that_is_not_there_is_named(loops) -> None:
     with OrderConsole(with_third, "ann") as ann:
         outcomes = ann.order(["r3"], "stop", heard_s=0.3)
         assert "was not heard in 0.3 s, and was told nothing" in outcomes["r3"].why
+
+
+@pytest.mark.parametrize("verb", ["stop", "resume"])
+def test_an_order_to_all_says_whom_the_fleet_file_lacks(loops, verb: str, tmp_path: Path) -> None:
+    """It is told nothing: no link leads there."""
+    loops["r1"].hears = ("r2",)
+    alone = replace(fleet_of(loops), robot={"r1": replace(fleet_of(loops).robot["r1"], neighbours=())})
+    order = typed(alone, tmp_path / "fleet.toml", verb, ["all"])
+    outcomes = dict(give(alone, tmp_path / "fleet.toml", "ann", order))
+    assert outcomes["r1"].ok and verdict(outcomes) == "1 of 2"
+    assert outcomes["r2"].why.startswith("r1 hears it, and this fleet file lacks it: it was told nothing; order by")
+    assert list(dict(give(alone, tmp_path / "fleet.toml", "ann", order._replace(everybody=False)))) == ["r1"]
+
+
+def test_a_stop_for_all_goes_to_who_is_linked_and_not_in_the_file(loops) -> None:
+    pair = fleet_of(loops).robot
+    renamed = replace(fleet_of(loops), robot={"r1": pair["r1"], "r9": pair["r2"]})
+    with OrderConsole(renamed, "ann") as ann:
+        until(lambda: len(ann.states()) == 2)
+        outcomes = dict(ann.orders(["r1", "r9"], "resume", heard_s=0.3, everybody=True))
+        assert outcomes["r2"].why.startswith("it is heard, and this fleet file lacks it: it was told nothing")
+        outcomes = dict(ann.orders(["r1", "r9"], "stop", heard_s=0.3, everybody=True))
+        assert outcomes["r1"].ok and outcomes["r2"].ok and outcomes["r9"].answer is None
+    assert [decode(ordered.payload, Order).verb for ordered in loops["r2"].taken] == ["stop"]
 
 
 def test_a_stop_needs_no_state(loops) -> None:

@@ -221,3 +221,34 @@ def test_a_disk_that_does_not_answer_is_a_fault_until_it_does(tmp_path: Path, mo
         answers.set()
         until(lambda: writer.fault is None)
     assert len(list(read(tmp_path / "r1.mcap"))) == 3
+
+
+@pytest.mark.parametrize("what", ["removed", "moved", "folder"])
+def test_a_file_that_is_taken_away_is_said_and_begun_anew(tmp_path: Path, what: str) -> None:
+    path = tmp_path / "dive" / "r1.mcap"
+    file = path.with_name("r1.mcap.active")
+    with LogWriter(path, RUN) as writer:
+        write(writer, 10)
+        until(lambda: len(list(read(path))) == 10)
+        if what == "removed":
+            file.unlink()
+        elif what == "moved":
+            file.rename(tmp_path / "elsewhere.mcap")
+        else:
+            path.parent.rename(tmp_path / "away")
+        until(lambda: writer.fault)
+        assert str(writer.fault).startswith(f"{file} was removed or moved away; from then on")
+        write(writer, 5, first=10)
+    assert writer.fault and writer.failed is None
+    assert [record.sequence for record in read(path)] == [10, 11, 12, 13, 14]
+    assert info(path).complete
+
+
+def test_a_folder_that_cannot_be_made_again_says_what_to_do(tmp_path: Path) -> None:
+    path = tmp_path / "dive" / "r1.mcap"
+    with LogWriter(path, RUN) as writer:
+        until(lambda: path.with_name("r1.mcap.active").exists())
+        path.parent.rename(tmp_path / "away")
+        (tmp_path / "dive").write_text("a file")
+        until(lambda: writer.failed)
+    assert writer.failed == f"{path}.active: cannot be written: File exists; give another place"

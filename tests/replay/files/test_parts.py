@@ -2,6 +2,7 @@
 
 import contextlib
 import itertools
+import json
 import os
 import subprocess
 import sys
@@ -121,6 +122,31 @@ def test_below_the_floor_the_file_is_finished_and_the_caller_goes_on(tmp_path: P
     about = info(path)
     assert about.complete
     assert about.end["cause"] == "disk_floor"
+
+
+def test_recording_goes_on_when_there_is_room_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path, free, first = tmp_path / "r1.mcap", [5_000], itertools.count()
+    monkeypatch.setattr(replay.files.log.shutil, "disk_usage", lambda _: (10_000, 0, free[0]))
+
+    def put(found: bool) -> bool:
+        write_steps(log, range(n := next(first), n + 1))
+        return found
+
+    with LogWriter(path, {}, limits=Limits(floor_bytes=2_000, floor_share=1.0)) as log:
+        until(lambda: put(path.with_name("r1.mcap.active").exists()))
+        free[0] = 1_000
+        until(lambda: put(log.failed is not None))
+        assert "make room there" in log.failed and log.fault == log.failed
+        free[0] = 3_999
+        assert info(path).end["cause"] == "disk_floor"
+        for _ in range(3000):  # more than is kept meanwhile
+            put(True)
+        free[0] = 4_000
+        until(lambda: put(log.fault is None))
+    assert [file.name for file in parts(path)] == ["r1.mcap", "r1.part002.mcap"]
+    assert json.loads(info(parts(path)[1]).end["dropped"])
+    *_, last = read(path)
+    assert last.sequence == next(first) - 1
 
 
 @contextlib.contextmanager
