@@ -34,7 +34,7 @@ ARM_M = 0.003  # of every push, which makes some moment: no two thrusters are al
 DEAD_NM = 0.002
 # What thrust has wrong while it stays the same is a push, which is learnt: in doubt is only what differs from the mean
 # of so long. Else a robot that holds against a steady pull of 1.5 N would never know how it moves.
-STEADY_S = 4.0
+STEADY_S = 8.0
 
 # An ESC's zero is off by some 5 us; where thrusters are kept turning (hw/firmware/thrust.py) that is 0.09 N of each of
 # four, at 0.17 m: what pushes and turns a robot from when they turn on, and no longer.
