@@ -137,8 +137,15 @@ def _open_box(path: Path) -> BlackBox:
         complete=all(each.complete for each in heads),
         schema=schema,
         retired=retire(parse_toml(attachments["fleet.toml"], path)),
-        left_out=tuple(line for line in (left_out(path), missing_steps(each.about for each in heads)) if line),
+        left_out=tuple(_left_out(path, [each.about for each in heads])),
     )
+
+
+def _left_out(path: Path, files: Sequence[Info]) -> Iterator[str]:
+    if (line := left_out(path)) is not None:
+        yield line
+    if (line := missing_steps(files)) is not None:
+        yield f"{path.name}: {line}"
 
 
 KINDS = {"fleet": "the recording of a fleet, which holds no inputs of a robot", "black box": "one robot's black box"}

@@ -300,7 +300,9 @@ def _starts(folder: Path, kind: str) -> list[list[Path]]:
         if run.get("kind") == kind:
             start = tuple(run.get(name, "") for name in ("fleet", "robot", "incarnation"))
             mended = there == recovered(first)
-            starts.setdefault(start if all(start) else first, []).append(recovered(first) if mended else first)
+            starts.setdefault(start if kind == "black box" and all(start) else first, []).append(
+                recovered(first) if mended else first
+            )
     return [sorted(copies, key=_size, reverse=True) for copies in starts.values()]
 
 
