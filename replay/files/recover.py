@@ -376,7 +376,7 @@ def _mend_all_in(folder: Path, say: Say) -> None:
                 say(f"{recovered(file)} is not of {file} as it is now, and is left out; move it away")
     for first in firsts(folder):
         files = [file for file in parts(first) if file.exists()]
-        _tell_left_out(first, [there.get(file) or info(file) for file in files], say)
+        _tell_left_out((files or [first])[0], [there.get(file) or info(file) for file in files], say)
     for kept, *others in _starts(folder, "black box"):
         for other in others:
             say(f"{other} is of the same start of the same robot as {kept}, which is larger; it is left out")
