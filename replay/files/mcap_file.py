@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import glob
 import importlib.metadata
 import json
 import os
@@ -198,12 +199,9 @@ def left_out(path: Path) -> str | None:
     first = path.with_name(_stem(path).removesuffix(".recovered") + ".mcap")
     there = [file for file in parts(path) if file.exists()]
     missing = part(first, len(there) + 1)
-    beside = {
-        part(first, number_of(file)) for file in first.parent.iterdir() if ENDING.sub(".mcap", file.name) == first.name
-    }
-    later = [
-        file.name for each in sorted(beside, key=number_of) if number_of(each) > len(there) and (file := standing(each))
-    ]
+    beside = {part(first, number_of(file)) for file in first.parent.glob(f"{glob.escape(_stem(first))}.part*")}
+    found = (standing(each) for each in sorted(beside, key=number_of) if number_of(each) > len(there))
+    later = [file.name for file in found if file is not None]
     if later:
         names = later[0] if len(later) == 1 else f"{later[0]} {'and' if len(later) == 2 else 'to'} {later[-1]}"
         return f"{missing} is missing: {names} {'is' if len(later) == 1 else 'are'} left out; put it back there"

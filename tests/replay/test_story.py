@@ -80,6 +80,8 @@ def test_a_folder_stands_for_its_recordings_and_one_without_is_refused(tmp_path:
     assert [line.splitlines()[0].rpartition("/")[2] for line in lines] == ["r1.mcap", "r2.mcap", "r3.2.mcap", "r3.mcap"]
     with pytest.raises(ConfigError, match=r"has no recording \(\.mcap\) in it"):
         info_all([tmp_path], False, lines.append)
+    with pytest.raises(ConfigError, match="cannot be read: No such file"):
+        info_all([tmp_path / "nowhere" / "r1.mcap"], False, lines.append)
 
 
 def test_a_robot_that_started_again_is_told_by_its_own_times() -> None:
