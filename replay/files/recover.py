@@ -371,7 +371,8 @@ def _mend_all_in(folder: Path, say: Say) -> None:
         there[read] = about
         if read == file and recovered(file).exists():
             if is_of(recovered(file), file):
-                say(f"{recovered(file)} is read in place of {file}, which is whole; move it away")
+                what = "damaged" if about.damage else "whole; move it away"
+                say(f"{recovered(file)} is read in place of {file}, which is {what}")
             else:
                 say(f"{recovered(file)} is not of {file} as it is now, and is left out; move it away")
     for first in firsts(folder):

@@ -326,6 +326,10 @@ def test_bytes_behind_the_end_are_counted_as_lost(tmp_path: Path) -> None:
     result = recover(tmp_path / "r1.mcap")
     assert (result.bytes_lost, result.lossy) == (len(second), True)
     assert f"{len(second)} of {len(first + second)} bytes lost at 1 places" in result.summary
+    (tmp_path / "x.mcap").unlink()
+    lines: list[str] = []
+    auto_recovered([tmp_path], lines.append)
+    assert lines == [f"{result.out} is read in place of {tmp_path / 'r1.mcap'}, which is damaged"]
 
 
 def test_a_mending_that_was_killed_is_no_recording(tmp_path: Path, data: bytes) -> None:
