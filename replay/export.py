@@ -23,7 +23,7 @@ from agent.core.codec import decode
 from agent.core.config import ConfigError, writing
 from agent.core.robot_view import along_axes, robot_view
 from agent.core.step_io import Inputs
-from replay.check.reexecute import STEP_BYTES, BlackBox
+from replay.check.reexecute import STEP_BYTES, BlackBox, head
 from replay.files.info import suspecting
 from replay.files.mcap_file import parts
 from replay.files.mcap_walk import Channel, Message, Schema, Tear, records
@@ -96,6 +96,7 @@ def lines(paths: Sequence[Path], channels: Sequence[str] = (), robot: str | None
     for path in paths:
         for file in parts(path):
             with suspecting(file):
+                head(file)
                 yield from _of_file(file, channels, robot, seen)
     missing = [channel for channel in channels if channel not in seen]
     if missing:

@@ -21,7 +21,7 @@ from agent.core.linear_algebra import full
 from agent.core.messages import State, Vector
 from agent.core.robot_view import robot_view
 from agent.core.step_io import Sighting
-from replay.check.reexecute import BlackBox, open_box
+from replay.check.reexecute import BlackBox, head, open_box
 from replay.export import recordings_of, wanted, whole_or_none
 from replay.files.channels import VISION, network_topic
 from replay.files.frames import MAX_PIXELS, Film, Frames, Picture, film, pixels
@@ -63,7 +63,7 @@ def write_film(path: Path, out: Path, robot: str | None = None) -> int:
     boxes: list[Path] = []
     fleets: list[Path] = []
     for file in recordings_of(path):
-        kind = info(parts(file)[0]).run.get("kind")
+        kind = head(parts(file)[0]).run.get("kind")
         (boxes if kind == "black box" else fleets).append(file)
     opened = [open_box(file) for file in boxes]
     there = {box.robot for box in opened} or {name for file in fleets for name in _previewed(file)}
@@ -173,7 +173,7 @@ def _previewed(path: Path) -> set[str]:
 
 
 def _previews(path: Path, robot: str) -> Iterator[Shot]:
-    for said in said_in(path, (topics.IMAGE,)):
+    for said in said_in([path], (topics.IMAGE,)):
         if (shown := said.message).robot != robot:
             continue
         picture = Picture(t_ns=shown.t_ns, frame=shown.frame, roi=(0, 0, 0, 0), format="jpeg", data=shown.jpeg)

@@ -27,7 +27,7 @@ from replay.check.reexecute import STEP_BYTES
 from replay.files.channels import STEP_IN, STEP_OUT, network_topic
 from replay.files.info import Info, as_json, describe, info, suspecting
 from replay.files.log import read
-from replay.files.mcap_file import parts
+from replay.files.mcap_file import ENDING, firsts, left_out, parts
 
 MOST = 12  # losses or faults of one robot: more are counted, not told one by one
 
@@ -37,6 +37,7 @@ class RobotFacts:
 
     def __init__(self) -> None:
         self.starts_s: list[float] = []
+        self.knew = False  # already when the recording began
         self.told_s: float | None = None
         self.told_by: list[str] = []
         self.seen_s: float | None = None
@@ -45,10 +46,11 @@ class RobotFacts:
         self.faults: dict[str, dict[str, Any]] = {}
         self._before: State | None = None
 
-    def show(self, state: State, t_s: float) -> None:
-        """The next state of this robot about this target."""
+    def show(self, state: State, t_s: float, late: bool) -> None:
+        """The next state of this robot about this target; `late`: it had shown others before the recording began."""
         before, self._before = self._before, state
         if before is None or before.incarnation != state.incarnation:
+            self.knew |= late and not self.starts_s and state.knows != "blind"
             self.starts_s.append(t_s)
             before = None
         if state.knows == "told" and self.told_s is None and self.seen_s is None:
@@ -68,6 +70,7 @@ class RobotFacts:
         assert last is not None  # there is no robot without a state
         return {
             "starts_s": self.starts_s,
+            "knew_before": self.knew,
             "told_s": self.told_s,
             "told_by": self.told_by,
             "seen_s": self.seen_s,
@@ -92,20 +95,21 @@ def story_facts(path: Path, start_ns: int | None = None) -> dict[str, Any] | Non
     Times count from `start_ns`, when the run began (`began_ns`); None: when this recording did.
     """
     robots: dict[tuple[str, str], RobotFacts] = {}
-    first_ns, last_ns = start_ns if start_ns is not None else began_ns([path]), 0
+    late: dict[str, bool] = {}
+    own_ns, last_ns = began_ns([path]), 0
     for state in _states(path):
-        if first_ns is None:
-            first_ns = state.sent_ns
-        last_ns = max(last_ns, state.sent_ns)
-        robots.setdefault((state.robot, state.target), RobotFacts()).show(state, (state.sent_ns - first_ns) * 1e-9)
-    if first_ns is None or not robots:
+        own_ns = state.sent_ns if own_ns is None else own_ns
+        first_ns, last_ns = own_ns if start_ns is None else start_ns, max(last_ns, state.sent_ns)
+        facts = robots.setdefault((state.robot, state.target), RobotFacts())
+        facts.show(state, (state.sent_ns - first_ns) * 1e-9, late.setdefault(state.robot, state.seq > 0))
+    if own_ns is None or not robots:
         return None
     targets: dict[str, dict[str, Any]] = {}
     for (robot, target), facts in sorted(robots.items()):
         targets.setdefault(target, {"robots": {}})["robots"][robot] = facts.as_json()
     for about in targets.values():
         about["apart_m"] = apart_m([facts["estimate_m"] for facts in about["robots"].values() if facts["estimate_m"]])
-    return {"first_ns": first_ns, "lasts_s": (last_ns - first_ns) * 1e-9, "targets": targets}
+    return {"first_ns": first_ns, "began_ns": own_ns, "lasts_s": (last_ns - own_ns) * 1e-9, "targets": targets}
 
 
 def began_ns(paths: Iterable[Path]) -> int | None:
@@ -146,6 +150,7 @@ def apart_m(places_m: Collection[Vector]) -> float | None:
 # --- in sentences ---
 # The facts of a dive in one paragraph of plain sentences.
 
+LATE_S = 1.0  # robots are started one after the other
 MODES = {"failed": "a fault ended it", "degraded": "something was wrong with it at the end"}
 
 
@@ -157,9 +162,11 @@ def story(facts: Mapping[str, Any], about: Info) -> str:
 def _sentences(facts: Mapping[str, Any], about: Info) -> Iterator[str]:
     targets = facts["targets"]
     robots = sorted({robot for target in targets.values() for robot in target["robots"]})
-    began = datetime.fromtimestamp(facts["first_ns"] * 1e-9, UTC)
+    began = datetime.fromtimestamp(facts["began_ns"] * 1e-9, UTC)
+    after_s = (facts["began_ns"] - facts["first_ns"]) * 1e-9
+    later = f", {after_s:.1f} s after the run began" if after_s >= LATE_S else ""
     who = f"{'Robot' if len(robots) == 1 else 'Robots'} {listed(robots)} of the fleet {about.run.get('fleet', '?')}"
-    yield f"{who} dived for {facts['lasts_s']:.1f} s from {began:%Y-%m-%d %H:%M:%S} UTC."
+    yield f"{who} dived for {facts['lasts_s']:.1f} s from {began:%Y-%m-%d %H:%M:%S} UTC{later}."
     for target, of in targets.items():
         for robot, one in of["robots"].items():
             yield from _robot(robot, target, one)
@@ -176,7 +183,9 @@ def _sentences(facts: Mapping[str, Any], about: Info) -> Iterator[str]:
 
 def _robot(robot: str, target: str, one: Mapping[str, Any]) -> Iterator[str]:
     """What one robot came to know of one target."""
-    if one["told_s"] is not None:
+    if one["knew_before"]:
+        yield f"{robot} knew of the target {target} already when the recording began."
+    elif one["told_s"] is not None:
         by = f" by {listed(one['told_by'])}" if one["told_by"] else ""
         yield f"{robot} was told of the target {target}{by} after {one['told_s']:.1f} s" + (
             f" and saw it itself after {one['seen_s']:.1f} s."
@@ -247,28 +256,31 @@ WIDTH = 100  # characters of a line
 def info_all(paths: Iterable[Path], json_: bool, say: Callable[[str], None]) -> None:
     """Each file of each recording, later parts included; the story stands with the first. Raises as `info` does.
 
-    A folder stands for the recordings in it. Raises ConfigError for one that has none.
+    A folder stands for the recordings in it, and all that is in them. Raises ConfigError for one that has none.
     """
-    recordings = _recordings(paths)
-    boxes = [path for path in recordings if ".part" not in path.name]
-    for path in recordings:
-        facts: dict[str, Any] | None = None
-        for number, file in enumerate(parts(path)):
+    recordings = [files for path in paths for files in _recordings(path)]
+    boxes = [files[0] for files, _ in recordings]
+    for files, missing in recordings:
+        for number, file in enumerate(files):
             with suspecting(file):
                 about = info(file)
-                if number == 0:
-                    facts = _facts(path, about, boxes)
-                told = facts if number == 0 else None
-                say(_for_programs(file, about, told) if json_ else _for_people(file, about, told))
+                told = _facts(file, about, boxes) if number == 0 else None
+                lacks = missing if number == 0 else None
+                say(_for_programs(file, about, told, lacks) if json_ else _for_people(file, about, told, lacks))
 
 
-def _recordings(paths: Iterable[Path]) -> list[Path]:
+def _recordings(path: Path) -> list[tuple[list[Path], str | None]]:
+    """The files of each recording: those that are read in their order, and what else there is of it; and what is
+    missing."""
+    if not path.is_dir():
+        return [(parts(path), left_out(path))]
     found = []
-    for path in paths:
-        there = sorted(path.glob("*.mcap")) + sorted(path.glob("*.mcap.active")) if path.is_dir() else [path]
-        if not there:
-            raise ConfigError(f"{path}: has no recording (.mcap) in it; give the folder of a run, or a recording")
-        found += [file for file in there if len(there) == 1 or ".part" not in file.name]
+    for first in firsts(path):
+        read = [file for file in parts(first) if file.exists()]
+        of = (file for file in path.iterdir() if ENDING.sub(".mcap", file.name) == first.name)
+        found.append(([*read, *sorted(set(of) - set(read))], left_out(first)))
+    if not found:
+        raise ConfigError(f"{path}: has no recording (.mcap) in it; give the folder of a run, or a recording")
     return found
 
 
@@ -290,13 +302,14 @@ def _is_sound(path: Path) -> bool:
     return True
 
 
-def _for_people(file: Path, about: Info, facts: dict[str, Any] | None) -> str:
+def _for_people(file: Path, about: Info, facts: dict[str, Any] | None, lacks: str | None) -> str:
     head, _, rest = describe(file, about).partition("\n")
+    head += f"\n  {lacks}" if lacks else ""
     if facts is None:
         return f"{head}\n{rest}"
     paragraph = textwrap.fill(story(facts, about), WIDTH, initial_indent="  ", subsequent_indent="  ")
     return f"{head}\n{paragraph}\n\n{rest}"
 
 
-def _for_programs(file: Path, about: Info, facts: dict[str, Any] | None) -> str:
-    return json.dumps({**json.loads(as_json(file, about)), "story": facts}, indent=1)
+def _for_programs(file: Path, about: Info, facts: dict[str, Any] | None, lacks: str | None) -> str:
+    return json.dumps({**json.loads(as_json(file, about)), "left_out": lacks, "story": facts}, indent=1)

@@ -400,6 +400,7 @@ def summarize(
         "seed": fleet.twin.seed,
         "loss": fleet.link.loss,
         "wall_s": round(wall_s, 1),
+        "incarnations": incarnations(histories),
         "truth_m": targets[first]["truth_m"],
         "agents": targets[first]["agents"],
         "targets": targets,
@@ -408,6 +409,15 @@ def summarize(
         "verdict": "fail" if why else "pass",
         "reasons": why,
     }
+
+
+def incarnations(histories: Histories) -> dict[str, list[int]]:
+    """Which starts of each robot were heard: by them a summary is known to be of the recordings beside it."""
+    found: dict[str, set[int]] = {name: set() for of_target in histories.values() for name in of_target}
+    for of_target in histories.values():
+        for name, history in of_target.items():
+            found[name].update(state.incarnation for state in history.states)
+    return {name: sorted(each) for name, each in found.items()}
 
 
 def unrecorded(histories: Histories) -> Iterator[str]:

@@ -403,7 +403,7 @@ def update_recordings(paths: Iterable[Path], reason: str) -> list[Updated]:
     for box in boxes:
         if box.schema != SCHEMA:
             raise ConfigError(f"{box.path}: recorded with schema {box.schema}; it stays the reference for that one")
-        if not box.complete or len(list(box.steps())) < box.recorded or len(parts(box.path)) > 1:
+        if not box.complete or box.left_out or len(parts(box.path)) > 1:
             raise ConfigError(f"{box.path}: is torn, lacks steps or has later parts; only whole recordings are updated")
     for folder in sorted({box.path.parent for box in boxes}):
         _refuse_dirty(folder)

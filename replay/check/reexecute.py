@@ -27,9 +27,9 @@ from agent.core.verbs import arguments, in_words
 from agent.robot.step import Agent
 from replay.check.compare import ABSENT, Difference, Ignored, differences, must_differ, note, written
 from replay.files.channels import STEP_IN, STEP_OUT
-from replay.files.info import damages, suspecting
+from replay.files.info import Info, damages, missing_steps, suspecting
 from replay.files.log import info, parts, read
-from replay.files.mcap_file import environment
+from replay.files.mcap_file import environment, left_out
 from replay.files.recover import black_boxes, recordings
 
 # --- the black box as arguments ---
@@ -65,6 +65,7 @@ class BlackBox(NamedTuple):
     complete: bool  # finished by its writer, nothing torn
     schema: int = SCHEMA  # of its messages
     retired: tuple[str, ...] = ()  # settings of its fleet file that there are no more, and that were in force
+    left_out: tuple[str, ...] = ()  # what of it is not read, a line each
 
     def agent(self) -> Agent:
         """The robot's agent as it was before its first step."""
@@ -136,7 +137,15 @@ def _open_box(path: Path) -> BlackBox:
         complete=all(each.complete for each in heads),
         schema=schema,
         retired=retire(parse_toml(attachments["fleet.toml"], path)),
+        left_out=tuple(_left_out(path, [each.about for each in heads])),
     )
+
+
+def _left_out(path: Path, files: Sequence[Info]) -> Iterator[str]:
+    if (line := left_out(path)) is not None:
+        yield line
+    if (line := missing_steps(files)) is not None:
+        yield f"{path.name}: {line}"
 
 
 KINDS = {"fleet": "the recording of a fleet, which holds no inputs of a robot", "black box": "one robot's black box"}
@@ -187,6 +196,7 @@ class Head(NamedTuple):
     attachments: dict[str, str]
     steps: int
     complete: bool
+    about: Info
 
 
 def head(file: Path) -> Head:
@@ -202,7 +212,7 @@ def head(file: Path) -> Head:
     if about.torn and not about.run and about.channels:
         raise ConfigError(f"{file}: damaged: its header cannot be read; take another copy of it")
     steps = about.channels[STEP_IN.name].messages if STEP_IN.name in about.channels else 0
-    return Head(about.run, about.attachments, steps, about.complete)
+    return Head(about.run, about.attachments, steps, about.complete, about)
 
 
 # --- re-execution ---
@@ -420,6 +430,8 @@ def range_notes(box: BlackBox, taken: int, tally: Tally) -> list[str]:
         notes.append(f"steps are missing after step {taken - 1}: {box.recorded - taken} later ones cannot be checked")
     if not box.complete:
         notes.append(f"not finished by its writer: checked up to step {tally.last}")
+    if (missing := left_out(box.path)) is not None:
+        notes.append(missing)
     if (silent := taken - tally.compared - broken) > 0:
         later = "" if silent == 1 else f" and {silent - 1} more"
         notes.append(f"the outputs of step {tally.silent}{later} are not in the file")

@@ -121,6 +121,8 @@ class ChannelInfo(NamedTuple):
     last_ns: int
     gaps: int = 0  # sequence numbers that are missing; only where the channel counts by one
     schema: str = ""  # what a viewer decodes it as
+    first: int = 0  # sequence number
+    unbroken: int = 0  # messages up to the first missing sequence number, or to a tear: what is read of steps
 
     @property
     def hz(self) -> float:
@@ -172,15 +174,19 @@ def info(path: Path) -> Info:
                 old = channels.get(about.topic)
                 if old is None:
                     schema, at_ns = schemas.get(about.schema_id, ""), record.log_time
-                    old = ChannelInfo(about.message_encoding, about.metadata, 0, 0, at_ns, at_ns, schema=schema)
+                    old = ChannelInfo(
+                        about.message_encoding, about.metadata, 0, 0, at_ns, at_ns, schema=schema, first=record.sequence
+                    )
                 gap = record.sequence - sequences.get(about.topic, record.sequence) - 1
                 sequences[about.topic] = record.sequence
+                follows = not torn and old.unbroken == old.messages and record.sequence == old.first + old.messages
                 channels[about.topic] = old._replace(
                     messages=old.messages + 1,
                     bytes=old.bytes + len(record.data),
                     first_ns=min(old.first_ns, record.log_time),
                     last_ns=max(old.last_ns, record.log_time),
                     gaps=old.gaps + max(0, gap),
+                    unbroken=old.unbroken + follows,
                 )
                 if about.topic == CLOCK.name and (noted := moment(record.log_time, record.data)) is not None:
                     moments.append(noted)
@@ -274,6 +280,20 @@ def _lines(about: Info) -> Iterator[str]:
         hz = nominal_hz(name)
         slow = hz > 0 and channel.messages > 10 and not 0.8 * hz <= channel.hz <= 1.2 * hz
         yield row + (f"  ({channel.schema})" if channel.schema else "") + (f"  expected {hz:g} Hz" if slow else "")
+
+
+def missing_steps(files: Iterable[Info]) -> str | None:
+    """Of a black box, by its parts, how many steps stand behind the first that is missing, in a line; None: none."""
+    read = left_out = 0
+    ended = False
+    for about in files:
+        if (steps := about.channels.get(STEP_IN.name)) is not None:
+            followed = 0 if ended or steps.first != read else steps.unbroken
+            read, left_out = read + followed, left_out + steps.messages - followed
+        ended = ended or left_out > 0 or about.torn
+    if not left_out:
+        return None
+    return f"steps are missing after {f'step {read - 1}' if read else 'the start'}: {left_out} later ones are left out"
 
 
 def _counts(text: str) -> dict[str, object]:

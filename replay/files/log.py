@@ -24,7 +24,7 @@ from agent.core.codec import prepare
 from agent.core.config import ConfigError
 from replay.files.channels import DROPS, Backlog, Drop, Entry, entry_on
 from replay.files.info import ChannelInfo, Info, info
-from replay.files.mcap_file import Part, active, part, parts, unused
+from replay.files.mcap_file import ROTATED, Part, active, part, parts, unused
 from replay.files.mcap_walk import Channel, Message, Tear, records
 
 __all__ = ["ChannelInfo", "Info", "Limits", "LogWriter", "Record", "info", "parts", "read", "unused"]
@@ -233,7 +233,7 @@ class LogWriter:
         """The new part is opened before the old one is finished: there is no moment without a file."""
         self._number += 1
         new = Part(part(self.path, self._number))
-        self._end_part("rotated")
+        self._end_part(ROTATED)
         self._part = new
         self._begin_part()
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import contextlib
 import fcntl
+import glob
 import importlib.metadata
 import json
 import os
@@ -25,6 +26,7 @@ from mcap.writer import CompressionType, Writer
 
 from agent.core.config import ConfigError
 from replay.files.channels import ATTACHED, BEFORE, Entry, HashedFile, of_attachments, stamped
+from replay.files.mcap_walk import last_note
 
 # --- environment ---
 # What a recording was made with: code, versions and machine, the first suspects when a replay differs.
@@ -135,6 +137,7 @@ def is_held(path: Path) -> bool:
 # * r1.recovered.mcap: the mended copy of a torn file, which takes its place
 
 SUFFIX = ".active"
+ENDING = re.compile(r"(\.part(\d{3,}))?(\.recovered)?\.mcap(\.active)?$")
 
 
 def active(path: Path) -> Path:
@@ -155,7 +158,8 @@ def part(path: Path, number: int) -> Path:
 def unused(path: Path) -> Path:
     """`path`, or NAME.2.mcap and so on if it is taken: a robot that starts again keeps what it recorded before."""
     stem, number = _stem(path), 2
-    while path.exists() or active(path).exists():
+    taken = firsts(path.parent) if path.parent.is_dir() else []
+    while path in taken:
         path = path.with_name(f"{stem}.{number}.mcap")
         number += 1
     return path
@@ -166,20 +170,56 @@ def parts(path: Path) -> list[Path]:
 
     Of a part that was torn the mended copy is taken, or else the torn file itself.
     """
-    stem = _stem(path)
-    if re.search(r"\.part\d{3,}(\.recovered)?$", stem):
+    if number_of(path) > 1:
         return [path]
-    first = path.with_name(stem.removesuffix(".recovered") + ".mcap")
+    first = path.with_name(_stem(path).removesuffix(".recovered") + ".mcap")
     found, number = [path if path.exists() else standing(first) or path], 2
-    while (later := standing(part(first, number))) is not None:
+    while found[0].exists() and (later := standing(part(first, number))) is not None:
         found.append(later)
         number += 1
     return found
 
 
+def number_of(path: Path) -> int:
+    """Which part of a recording a file is, by its name."""
+    match = ENDING.search(path.name)
+    return int(match[2]) if match and match[2] else 1
+
+
+def firsts(folder: Path) -> list[Path]:
+    """The recordings in a folder, by what their first parts are called when they are finished, be they there or not."""
+    return sorted({folder / ENDING.sub(".mcap", file.name) for file in folder.iterdir() if ENDING.search(file.name)})
+
+
+def left_out(path: Path) -> str | None:
+    """Which part of the recording that begins with `path` is missing, so that later ones are not read, in a line; None:
+    none, as far as can be told. Of a later part that was asked for by name nothing is told."""
+    if number_of(path) > 1:
+        return None
+    first = path.with_name(_stem(path).removesuffix(".recovered") + ".mcap")
+    there = [file for file in parts(path) if file.exists()]
+    missing = part(first, len(there) + 1)
+    beside = {part(first, number_of(file)) for file in first.parent.glob(f"{glob.escape(_stem(first))}.part*")}
+    found = (standing(each) for each in sorted(beside, key=number_of) if number_of(each) > len(there))
+    later = [file.name for file in found if file is not None]
+    if later:
+        names = later[0] if len(later) == 1 else f"{later[0]} {'and' if len(later) == 2 else 'to'} {later[-1]}"
+        return f"{missing} is missing: {names} {'is' if len(later) == 1 else 'are'} left out; put it back there"
+    if there and last_note(there[-1]).get("cause") == ROTATED:
+        return f"{there[-1]} goes on in {missing.name}, which is not here; put it back there"
+    return None
+
+
 def standing(path: Path) -> Path | None:
-    """What there is of `path`: its mended copy, for only what is torn has one, the finished file, or the torn one."""
-    return next((file for file in (recovered(path), path, active(path)) if file.exists()), None)
+    """What there is of `path`: the finished file or the torn one, or the mended copy of it as it is now, or alone."""
+    there = next((file for file in (path, active(path)) if file.exists()), None)
+    copy = recovered(path)
+    return copy if copy.exists() and (there is None or is_of(copy, there)) else there
+
+
+def is_of(copy: Path, source: Path) -> bool:
+    """Whether a mended copy is of all that is in its source now, and of nothing else."""
+    return last_note(copy).get("bytes_read") == str(source.stat().st_size)
 
 
 def _stem(path: Path) -> str:
@@ -188,6 +228,7 @@ def _stem(path: Path) -> str:
 
 # --- a file under construction ---
 
+ROTATED = "rotated"  # cause of the end of a part that another one follows
 CHUNK_BYTES = 256 * 1024  # the format's default, 1 MiB, is minutes of telemetry: all lost when the process is killed
 
 

@@ -23,6 +23,7 @@ import zstandard
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import EndOfFile, McapError
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 from mcap.records import (
     Attachment,
     AttachmentIndex,
@@ -63,6 +64,7 @@ class Damage(NamedTuple):
 
     what: str
     lasts: bool = False  # a mended copy has it too: it is in what was recorded, not in how it is stored
+    bytes: int = 0  # that no mended copy has
 
 
 class Audit:
@@ -87,9 +89,9 @@ class Audit:
         self._summary_crc, self._summary_start, self._footer_bytes = 0, 0, 0
         self._nameless = 0
 
-    def add(self, what: str, lasts: bool = False) -> None:
+    def add(self, what: str, lasts: bool = False, lost: int = 0) -> None:
         """Note a damage."""
-        self.found.append(Damage(what, lasts))
+        self.found.append(Damage(what, lasts, lost))
 
     def header(self, record: Header) -> None:
         """The first record."""
@@ -261,7 +263,19 @@ class Audit:
 
 # --- the walk ---
 
-__all__ = ["Attachment", "Channel", "Damage", "Header", "Message", "Metadata", "Schema", "Tear", "records", "run_note"]
+__all__ = [
+    "Attachment",
+    "Channel",
+    "Damage",
+    "Header",
+    "Message",
+    "Metadata",
+    "Schema",
+    "Tear",
+    "last_note",
+    "records",
+    "run_note",
+]
 
 LARGEST = 128 * 1024 * 1024  # bytes of a record, and of what a chunk holds: a longer one is a corrupt length
 MAGIC = b"\x89MCAP0\r\n"
@@ -329,6 +343,17 @@ def run_note(path: Path) -> tuple[dict[str, str], bool]:
             return record.metadata, sound
         sound = sound and not isinstance(record, Tear)
     return {}, sound
+
+
+def last_note(path: Path) -> dict[str, str]:
+    """The entries of `aucamp.end`, or of `aucamp.recovered` in a mended copy, read by the index of the file alone; none
+    of a file without them, or without an index."""
+    try:
+        with path.open("rb") as file:
+            notes = list(SeekingReader(file, record_size_limit=LARGEST).iter_metadata())
+    except (*BROKEN, OSError, StopIteration):
+        return {}
+    return next((note.metadata for note in notes if note.name in LAST), {})
 
 
 def _opened(path: Path) -> IO[bytes]:
@@ -460,8 +485,8 @@ def _after_footer(file: IO[bytes], end: int, size: int, audit: Audit) -> Iterato
         yield from audit.found
         yield Tear(end, size - end)
         return
-    if size > end + len(MAGIC):
-        audit.add(f"{size - end - len(MAGIC)} bytes follow its end")
+    if (behind := size - end - len(MAGIC)) > 0:
+        audit.add(f"{behind} bytes follow its end", lost=behind)
     yield from audit.verdict()
 
 

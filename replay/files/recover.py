@@ -17,6 +17,7 @@ import sys
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from datetime import UTC, datetime
 from pathlib import Path
 from threading import Event, Thread
 from typing import NamedTuple
@@ -25,9 +26,20 @@ from agent.clock import machine
 from agent.core.config import ConfigError
 from replay.files.channels import CUT, STEP_IN, STEP_OUT, Entry
 from replay.files.channels import Schema as ChannelSchema
-from replay.files.info import Info, damages, info, suspecting
-from replay.files.mcap_file import SUFFIX, Part, active, is_held, parts, recovered, standing
-from replay.files.mcap_walk import DAMAGED, Channel, Damage, Message, Schema, Tear, records, run_note
+from replay.files.info import Info, damages, info, missing_steps, suspecting
+from replay.files.mcap_file import (
+    SUFFIX,
+    Part,
+    active,
+    firsts,
+    is_held,
+    is_of,
+    left_out,
+    parts,
+    recovered,
+    standing,
+)
+from replay.files.mcap_walk import DAMAGED, OURS, Channel, Damage, Message, Schema, Tear, last_note, records, run_note
 
 
 class Recovered(NamedTuple):
@@ -72,8 +84,9 @@ class Recovered(NamedTuple):
 def recover(path: Path, force: bool = False) -> Recovered:
     """Write the mended copy of a torn file beside it, as NAME.recovered.mcap; a whole file is left alone.
 
-    A damage that lies in what was recorded is in the copy, too, and the copy says so. Raises ConfigError if the file
-    cannot be read or is no recording, is still being written (unless `force`), or if there is a copy already.
+    A damage that lies in what was recorded is in the copy, too, and the copy says so. A copy of less of the same file
+    is replaced. Raises ConfigError if the file cannot be read or is no recording, is still being written (unless
+    `force`), or if there is another copy already.
     """
     about = info(path)
     size = path.stat().st_size
@@ -86,6 +99,8 @@ def recover(path: Path, force: bool = False) -> Recovered:
     half_done = active(recovered(path))
     if half_done.exists() and not is_held(half_done):
         half_done.unlink()  # of a recovery that was broken off; the torn file itself is as it was
+    if _is_outgrown(recovered(path), about, size):
+        recovered(path).unlink()  # all that is in it is in the file
     part = Part(recovered(path))
     walk = _Walk(path)
     try:
@@ -96,7 +111,10 @@ def recover(path: Path, force: bool = False) -> Recovered:
             part.add(entry)
         result = walk.result(part.path, size, about)
         lasting = "; ".join(each.what for each in about.damage if each.lasts)
+        if not about.run and (not about.library or about.library.startswith(OURS)):
+            lasting = lasting or "its header could not be read"
         facts = {
+            **({"cause": about.end["cause"]} if "cause" in about.end else {}),
             **({DAMAGED: lasting} if lasting else {}),
             "source": path.name,
             "summary": result.summary,
@@ -113,28 +131,46 @@ def recover(path: Path, force: bool = False) -> Recovered:
     return result
 
 
+def _is_outgrown(copy: Path, about: Info, size: int) -> bool:
+    """Whether a mended copy is of the beginning of the file that `about` is of, when that was shorter."""
+    if not copy.is_file():
+        return False
+    old = info(copy)
+    said = old.recovered.get("bytes_read", "")
+    begun = (old.run, old.clock.get("start")) == (about.run, about.clock.get("start"))
+    return begun and bool(about.run) and said.isdecimal() and int(said) < size
+
+
 def sound(path: Path, say: Callable[[str], None]) -> Path:
-    """The file to open for `path`: itself, or its mended copy, which is made now if there is none yet.
+    """The file to open for `path`: itself, or its mended copy, which is made now if there is none of it as it is now.
 
     `say` gets one line about what was lost. A file that is being written, or whose folder cannot be written, is opened
     as it is: reading ends at the tear. Raises ConfigError as `info` does.
     """
+    return _sound(path, say)[0]
+
+
+def _sound(path: Path, say: Callable[[str], None]) -> tuple[Path, Info]:
+    """The same, and what is in that file."""
     there = path if path.exists() else standing(path) or path
     about = info(there)
     if (about.end and not about.torn) or about.recovered or is_held(there):
         if about.recovered:
             say(f"{there}: {about.recovered.get('summary', '')}")
-        return there
-    if recovered(there).exists():
-        return sound(recovered(there), say)
+        return there, about
+    if recovered(there).exists() and is_of(recovered(there), there):
+        return _sound(recovered(there), say)
     try:
         with suspecting(there):
             result = recover(there)
     except ConfigError as error:
         say(str(error))
-        return there
-    say(f"{there} was torn, mended as {result.out}: {result.summary}" if result.out else f"{there}: {result.summary}")
-    return result.out or there
+        return there, about
+    if result.out is None:
+        say(f"{there}: {result.summary}")
+        return there, about
+    say(f"{there} was torn, mended as {result.out}: {result.summary}")
+    return result.out, info(result.out)
 
 
 class _Walk:
@@ -216,7 +252,7 @@ class _Walk:
                     )
                 case Message():
                     self._nameless += 1
-                case Tear():
+                case Tear() | Damage():
                     self._bytes_lost += record.bytes
                     self._tears += record.bytes > 0
 
@@ -237,10 +273,8 @@ def recover_all(paths: Iterable[Path], force: bool, say: Callable[[str], None]) 
 
 def _mended_already(path: Path) -> str | None:
     """What the mended copy of a file as it is now says; None: there is none."""
-    if not (path.is_file() and recovered(path).is_file()) or recovered(path) == path:
-        return None
-    about = info(recovered(path)).recovered or {}
-    return about.get("summary") if about.get("bytes_read") == str(path.stat().st_size) else None
+    copy = recovered(path)
+    return last_note(copy).get("summary") if path.is_file() and copy.is_file() and is_of(copy, path) else None
 
 
 # --- the recordings of a folder ---
@@ -259,16 +293,16 @@ def recordings(folder: Path, kind: str) -> list[Path]:
 
 def _starts(folder: Path, kind: str) -> list[list[Path]]:
     """Recordings of a kind, those of one start of a robot together, the largest first."""
-    ending = re.compile(r"(\.part\d{3,})?(\.recovered)?\.mcap(\.active)?$")
-    firsts = {folder / ending.sub(".mcap", file.name) for file in folder.iterdir() if ending.search(file.name)}
     starts: dict[object, list[Path]] = {}
-    for first in sorted(firsts):
+    for first in firsts(folder):
         there = standing(first)
         run = {} if there is None else _run(there)
         if run.get("kind") == kind:
             start = tuple(run.get(name, "") for name in ("fleet", "robot", "incarnation"))
-            mended = recovered(first)
-            starts.setdefault(start if all(start) else first, []).append(mended if mended.exists() else first)
+            mended = there == recovered(first)
+            starts.setdefault(start if kind == "black box" and all(start) else first, []).append(
+                recovered(first) if mended else first
+            )
     return [sorted(copies, key=_size, reverse=True) for copies in starts.values()]
 
 
@@ -276,10 +310,23 @@ def _size(first: Path) -> int:
     return sum(file.stat().st_size for file in parts(first))
 
 
+def fleet_recordings(folder: Path) -> list[list[Path]]:
+    """The recordings of a fleet in a folder, the largest first. Each is one or more: NAME, and NAME.2 and so on of a
+    recorder that was started again."""
+    found: dict[str, list[tuple[int, Path]]] = {}
+    for path in recordings(folder, "fleet"):
+        name = path.name.removesuffix(".mcap").removesuffix(".recovered")
+        again = re.fullmatch(r"(.+)\.(\d+)", name)
+        found.setdefault(again[1] if again else name, []).append((int(again[2]) if again else 1, path))
+    chains = [[path for _, path in sorted(chain)] for _, chain in sorted(found.items())]
+    return sorted(chains, key=lambda chain: sum(map(_size, chain)), reverse=True)
+
+
 def _run(file: Path) -> dict[str, str]:
-    """What the header of a file says. Raises ConfigError for a finished file that has lost it: it may be any."""
+    """What the header of a file says. Raises ConfigError for a finished file that has lost it, and for the mended copy
+    of one: it may be any."""
     run, is_sound = run_note(file)
-    if not run and not is_sound and file.suffix == ".mcap":
+    if "kind" not in run and file.suffix == ".mcap" and (not (run or is_sound) or last_note(file).get(DAMAGED)):
         raise ConfigError(f"{file}: damaged: its header cannot be read; move it away to do without it")
     return run
 
@@ -308,22 +355,62 @@ def auto_recovered(paths: Iterable[Path], say: Say) -> list[Path]:
             _mend_all_in(path, say)
             found.append(path)
         else:
-            first, *later = parts(path)
-            for file in later:
-                sound(file, say)
-            found.append(sound(first, say))
+            there = dict(_sound(file, say) for file in parts(path))
+            found.append(next(iter(there)))
+            _tell_left_out(found[-1], list(there.values()), say)
     return found
 
 
 def _mend_all_in(folder: Path, say: Say) -> None:
     """Mend what is torn in a folder, and say which of its files are not read."""
     copies = {recovered(file) for file in folder.glob("*.mcap*")}
-    for file in sorted({*folder.glob("*.mcap"), *folder.glob(f"*.mcap{SUFFIX}")} - copies):
-        if sound(file, say) == file and recovered(file).exists():
-            say(f"{recovered(file)} is read in place of {file}, which is whole; move it away")
+    half_done = {active(copy) for copy in copies}
+    there: dict[Path, Info] = {}
+    for file in sorted({*folder.glob("*.mcap"), *folder.glob(f"*.mcap{SUFFIX}")} - copies - half_done):
+        read, about = _sound(file, say)
+        there[read] = about
+        if read == file and recovered(file).exists():
+            if is_of(recovered(file), file):
+                what = "damaged" if about.damage else "whole; move it away"
+                say(f"{recovered(file)} is read in place of {file}, which is {what}")
+            else:
+                say(f"{recovered(file)} is not of {file} as it is now, and is left out; move it away")
+    for first in firsts(folder):
+        files = [file for file in parts(first) if file.exists()]
+        _tell_left_out((files or [first])[0], [there.get(file) or info(file) for file in files], say)
     for kept, *others in _starts(folder, "black box"):
         for other in others:
             say(f"{other} is of the same start of the same robot as {kept}, which is larger; it is left out")
+    kept, *others = [chain[0] for chain in fleet_recordings(folder)] or [folder]
+    for other in others:
+        say(f"{other} is another recording of the fleet than {kept}, which is larger; give it alone to see it")
+    _tell_apart(there.values(), folder, say)
+
+
+def _tell_left_out(first: Path, files: Sequence[Info], say: Say) -> None:
+    """Say what of a recording is not read: later parts, or steps."""
+    if (line := left_out(first)) is not None:
+        say(line)
+    if (line := missing_steps(files)) is not None:
+        say(f"{first}: {line}")
+
+
+def _tell_apart(files: Iterable[Info], folder: Path, say: Say) -> None:
+    """Say which robots were recorded while no other was: their recordings are of another dive, or their clock was."""
+    spans: dict[str, tuple[int, int]] = {}
+    for about in files:
+        steps, robot = about.channels.get(STEP_IN.name), about.run.get("robot")
+        if steps is not None and robot is not None:
+            first_ns, last_ns = spans.get(robot, (steps.first_ns, steps.last_ns))
+            spans[robot] = min(first_ns, steps.first_ns), max(last_ns, steps.last_ns)
+    for robot, (first_ns, last_ns) in spans.items():
+        others = [span for name, span in spans.items() if name != robot]
+        if others and all(last_ns < first or last < first_ns for first, last in others):
+            began = datetime.fromtimestamp(first_ns * 1e-9, UTC)
+            say(
+                f"{folder}: {robot} was recorded from {began:%Y-%m-%d %H:%M:%S} UTC, while no other robot was; "
+                "if that is another dive, move its recording away"
+            )
 
 
 def broken_off(path: Path) -> list[Path]:

@@ -144,6 +144,7 @@ class Outcome(NamedTuple):
     missing: tuple[str, ...] = ()  # of whom there should be something, and is nothing
     survey: Survey | None = None
     torn: tuple[str, ...] = ()  # recordings that nobody finished
+    left_out: tuple[str, ...] = ()  # what of recordings is not read
     verdict: str = ""  # the demo's own: pass, fail; nothing for a run without
     reasons: tuple[str, ...] = ()  # why it failed
 
@@ -175,6 +176,7 @@ def outcome(run: Run, at_end: Sequence[End], survey: Surveyed | None) -> Outcome
         missing=tuple(name for name in run.fleet.robot if name not in heard) if not alone else (),
         survey=_survey(run, survey),
         torn=tuple(torn),
+        left_out=tuple(run.left_out),
         verdict=summary.get("verdict", ""),
         reasons=tuple(summary.get("reasons", ())),
     )
@@ -348,6 +350,7 @@ def _wrong(about: Outcome) -> Iterator[tuple[Literal["bad"], str]]:
     if about.torn:
         whose = "its writer" if len(about.torn) == 1 else "their writers"
         yield "bad", f"not finished by {whose}: {listed(about.torn)}"
+    yield from (("bad", line) for line in about.left_out)
     if about.verdict == "fail":
         yield "bad", f"it did not pass: {_first_of(about.reasons)}" if about.reasons else "it did not pass"
 

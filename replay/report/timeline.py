@@ -29,6 +29,7 @@ from agent.core.messages import Answer, Estimate, LogLine, State, Symmetric, Vec
 from agent.core.robot_view import in_own_name
 from agent.core.step_io import Grant, Inputs, Outputs, Sighting, SweepOutcome
 from agent.core.topics import CLAIM, KEYFRAME, TOPICS, Topic
+from agent.core.trust import common
 from agent.robot.fleet_reader import load_fleet
 from replay.check.check import Link, links
 from replay.check.reexecute import (
@@ -43,7 +44,8 @@ from replay.check.reexecute import (
 from replay.files.channels import CLOCK, STEP_OUT, network_topic
 from replay.files.info import Moment, in_dive, moment
 from replay.files.log import parts, read
-from replay.files.recover import black_boxes, recordings
+from replay.files.mcap_file import left_out
+from replay.files.recover import black_boxes, fleet_recordings, recordings
 
 # --- one robot, by its black box ---
 # What a run's black boxes tell, in the shape in which figures need it: series over time, one timeline for each robot
@@ -297,6 +299,7 @@ class _Gathered:
 
 class FleetFile(NamedTuple):
     path: Path
+    paths: tuple[Path, ...]  # this one, and those in which a recorder that was started again went on
     fleet: Fleet
     run: dict[str, str]  # the header
     complete: bool  # finished by its writer, nothing torn
@@ -309,24 +312,33 @@ class Overheard(NamedTuple):
 
 
 def open_fleet_file(path: Path) -> FleetFile:
-    """Read the header. Raises ConfigError if it is no fleet file, or one of another version."""
+    """Read the header of a recording of a fleet, or of the one in a folder. Raises ConfigError if it is no such, if
+    there is none, or one of another version."""
+    found = fleet_recordings(path) if path.is_dir() else [[path]]
+    if not found:
+        raise ConfigError(f"{path}: has no recording of a fleet in it; give the folder of a run, or what record wrote")
+    opened = [_open_fleet_file(each) for each in found[0]]
+    of_one_fleet(opened)
+    return opened[0]._replace(paths=tuple(found[0]), complete=all(each.complete for each in opened))
+
+
+def _open_fleet_file(path: Path) -> FleetFile:
     heads = [head(file) for file in parts(path)]
     run, text = heads[0].run, heads[0].attachments.get("fleet.toml")
     if run.get("kind") != "fleet" or text is None:
         raise ConfigError(f"{other_kind(path, run, 'recording of a fleet')}; give what `aucamp record` wrote")
     schema_of(path, run)
     fleet = attached_toml(path, "fleet.toml", heads[0].attachments, Fleet)
-    return FleetFile(path, fleet, run, all(each.complete for each in heads))
+    return FleetFile(path, (path,), fleet, run, all(each.complete for each in heads))
 
 
-def fleet_recording(path: Path) -> Path:
-    """The recording of the fleet that a path stands for. Raises ConfigError where there is none."""
-    if not path.is_dir():
-        return path
-    found = recordings(path, "fleet")
-    if not found:
-        raise ConfigError(f"{path}: has no recording of a fleet in it; give the folder of a run, or what record wrote")
-    return found[0]
+def of_one_fleet(opened: Sequence[BlackBox | FleetFile]) -> None:
+    """Raises ConfigError for recordings that are not of one fleet: what they say does not belong together."""
+    for each in opened[1:]:
+        if common(each.fleet) != common(opened[0].fleet):
+            name, other = each.fleet.fleet, opened[0].fleet.fleet
+            what = f"is of the fleet '{name}', not '{other}'" if name != other else "was made with another fleet file"
+            raise ConfigError(f"{each.path}: {what} as {opened[0].path}; move one away, or give one of them alone")
 
 
 class Said(NamedTuple):
@@ -338,9 +350,9 @@ class Said(NamedTuple):
     message: Any
 
 
-def said_in(path: Path, rows: Collection[Topic] = TOPICS) -> Iterator[Said]:
-    """What was said on these rows, in the order of the file; what does not decode is passed over."""
-    for record in read(path):
+def said_in(paths: Iterable[Path], rows: Collection[Topic] = TOPICS) -> Iterator[Said]:
+    """What was said on these rows, in the order of the files; what does not decode is passed over."""
+    for record in itertools.chain.from_iterable(map(read, paths)):
         row = network_topic(record.channel)
         if row is None or row[0] not in rows:
             continue
@@ -355,7 +367,7 @@ def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str
     """
     robots = {name: _Gathered() for name in file.fleet.robot}
     said: dict[tuple[str, str], set[tuple[int, int]]] = {}
-    for _, topic, chunks, message in said_in(file.path):
+    for _, topic, chunks, message in said_in(file.paths):
         robot = robots.get(chunks[topic.writer])
         if robot is None:
             continue
@@ -402,6 +414,12 @@ class Run(NamedTuple):
         """One timeline for each robot: what is not about a target is the same in all."""
         return list({timeline.robot: timeline for timeline in reversed(self.timelines)}.values())[::-1]
 
+    @property
+    def left_out(self) -> list[str]:
+        """What of its recordings is not read, a line each."""
+        of_fleet = [left_out(path) for path in self.fleet_file.paths] if self.fleet_file else []
+        return [*(line for box in self.boxes for line in box.left_out), *(line for line in of_fleet if line)]
+
     def about(self, target: str) -> list[RobotTimeline]:
         return [timeline for timeline in self.timelines if timeline.target == target]
 
@@ -420,18 +438,22 @@ def open_run(path: Path) -> Run:
     known = {box.robot for box in boxes}
     if fleet_path is not None and (not boxes or known != set(boxes[0].fleet.robot)):
         file = open_fleet_file(fleet_path)
+    of_one_fleet([*boxes, *([file] if file is not None else [])])
+    if file is not None:
         more = overheard(file, start_ns, known)
         start_ns = more.start_ns
         drawn = sorted([*drawn, *more.timelines], key=lambda timeline: timeline.robot)
         heard = _joined(heard, more, known)
     fleet = boxes[0].fleet if boxes else file.fleet if file else load_fleet(path / "fleet.toml")
-    clock = _clock([*(box.path for box in boxes), *([file.path] if file else [])])
+    clock = _clock([*(box.path for box in boxes), *(file.paths if file else ())])
+    if told is not None:
+        _refuse_another(path / "summary.json", told, boxes, drawn)
     return Run(path, fleet, boxes, file, drawn, heard, summary, _truths(told, fleet), start_ns, clock)
 
 
 def _recordings(path: Path) -> tuple[list[BlackBox], Path | None]:
     if path.is_dir():
-        return open_boxes(black_boxes(path)), next(iter(recordings(path, "fleet")), None)
+        return open_boxes(black_boxes(path)), path if recordings(path, "fleet") else None
     if head(parts(path)[0]).run.get("kind") == "fleet":
         return [], path
     return open_boxes([path]), None
@@ -464,6 +486,8 @@ class _Ended(msgspec.Struct):
 class _Summary(msgspec.Struct):
     """What is read of summary.json by name."""
 
+    incarnations: dict[str, list[int]] | None = None  # that were heard, by robot; None: of an older demo
+
     truth_m: Vector | None = None  # of the first target, in older summaries
     targets: dict[str, _Ended] | None = None
     agents: dict[str, dict[str, Any]] = {}
@@ -483,6 +507,15 @@ def _summary(run: Path) -> tuple[dict[str, Any], _Summary] | None:
     except ValueError:
         raise ConfigError(f"{run}: no usable summary.json; repair it, or remove it to do without the truth") from None
     return summary, convert(summary, _Summary, path)
+
+
+def _refuse_another(path: Path, told: _Summary, boxes: Iterable[BlackBox], drawn: Iterable[RobotTimeline]) -> None:
+    """Raises ConfigError for a summary of another dive than the recordings beside it."""
+    ours = {(box.robot, box.incarnation) for box in boxes}
+    ours |= {(timeline.robot, state.incarnation) for timeline in drawn for _, state in timeline.states}
+    for robot, heard in (told.incarnations or {}).items():
+        if heard and robot in dict(ours) and ours.isdisjoint((robot, each) for each in heard):
+            raise ConfigError(f"{path}: is of another dive than the recordings of {robot} beside it; move it away")
 
 
 def _truths(told: _Summary | None, fleet: Fleet) -> dict[str, Vector]:

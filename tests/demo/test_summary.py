@@ -83,6 +83,7 @@ def test_the_verdict_is_over_all_targets() -> None:
     summary = summarize(fleet, {"ball": good, "buoy": good}, truth, 1.0)
     assert summary["verdict"] == "pass"
     assert summary["agents"] == summary["targets"]["ball"]["agents"]
+    assert summary["incarnations"] == {"r1": [good["r1"].states[0].incarnation]}
     fault = "not recording: the disk has taken nothing for more than 10 s"
     silent = {"r1": History([replace(good["r1"].states[0], faults=(fault,))])}
     summary = summarize(fleet, {"ball": silent, "buoy": silent}, truth, 1.0)

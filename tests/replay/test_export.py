@@ -166,3 +166,10 @@ def test_a_folder_without_recordings_is_refused(tmp_path: Path) -> None:
 
 def test_a_robot_that_recorded_steps_alone_has_steps() -> None:
     assert sum(1 for _ in lines([GOLDEN / "two" / "r1.mcap"], ["/raw/step_in"])) > STEPS
+
+
+def test_a_damaged_recording_gives_no_lines(tmp_path: Path) -> None:
+    (tmp_path / "r1.mcap").write_bytes(SEEN.read_bytes() + (GOLDEN / "three" / "r1.mcap").read_bytes())
+    with pytest.raises(ConfigError, match="bytes follow its end; `aucamp replay recover` makes a sound copy"):
+        write_lines(tmp_path / "r1.mcap", tmp_path / "all.jsonl")
+    assert not (tmp_path / "all.jsonl").exists()

@@ -1,6 +1,7 @@
 """The story of a dive: what happened is in it, and what did not is not."""
 
 import json
+import shutil
 from pathlib import Path
 
 import pytest
@@ -11,6 +12,7 @@ from agent.__main__ import app
 from agent.core.config import ConfigError
 from agent.core.messages import Message, State
 from replay.files.info import info
+from replay.files.recover import auto_recovered
 from replay.report.timeline import open_run
 from replay.story import info_all, listed, story, story_facts
 from tests.places import GOLDEN
@@ -78,6 +80,33 @@ def test_a_folder_stands_for_its_recordings_and_one_without_is_refused(tmp_path:
     assert [line.splitlines()[0].rpartition("/")[2] for line in lines] == ["r1.mcap", "r2.mcap", "r3.2.mcap", "r3.mcap"]
     with pytest.raises(ConfigError, match=r"has no recording \(\.mcap\) in it"):
         info_all([tmp_path], False, lines.append)
+    with pytest.raises(ConfigError, match="cannot be read: No such file"):
+        info_all([tmp_path / "nowhere" / "r1.mcap"], False, lines.append)
+
+
+def test_a_robot_that_started_again_is_told_by_its_own_times() -> None:
+    lines: list[str] = []
+    info_all([GOLDEN / "outage"], False, lines.append)
+    again = " ".join(next(line for line in lines if "r3.2.mcap" in line.splitlines()[0]).split())
+    assert "dived for 8.0 s from 2026-01-01 00:00:14 UTC, 14.0 s after the run began." in again
+
+
+def test_what_was_known_before_the_recording_began_was_not_found_in_it(tmp_path: Path) -> None:
+    def late(message: Message) -> Message | None:
+        return None if message.sent_ns < 1_767_225_600_000_000_000 + 15 * 10**9 else message
+
+    text = told(overheard_run(GOLDEN / "outage", tmp_path / "fleet.mcap", late))
+    assert "r1 knew of the target ball already when the recording began." in text
+    assert "after 0.0 s" not in text
+
+
+def test_a_torn_file_and_its_mended_copy_are_one_dive(tmp_path: Path) -> None:
+    shutil.copy(GOLDEN / "torn" / "r1.mcap.active", tmp_path)
+    auto_recovered([tmp_path], lambda line: None)
+    lines: list[str] = []
+    info_all([tmp_path], False, lines.append)
+    assert [line.splitlines()[0].rpartition("/")[2] for line in lines] == ["r1.recovered.mcap", "r1.mcap.active"]
+    assert ["dived for" in line for line in lines] == [True, False]
 
 
 def test_words_are_listed_as_people_do() -> None:

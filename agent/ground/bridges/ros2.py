@@ -24,7 +24,7 @@ from agent.core.robot_view import robot_view
 from agent.core.topics import IMAGE, LINK, STATE, Topic, target_chunk
 from agent.ground.bridges.outward import WORLD, Foreign
 from replay.files.info import suspecting
-from replay.report.timeline import FleetFile, fleet_recording, open_fleet_file, said_in
+from replay.report.timeline import FleetFile, open_fleet_file, said_in
 
 # --- keys and tokens of rmw_zenoh ---
 # Keys and tokens by which rmw_zenoh finds topics, and what goes along with each message. Pure.
@@ -221,7 +221,7 @@ def write_bag(path: Path, out: Path) -> int:
 
     path: a fleet's recording, or the folder of a run with one. Raises ConfigError where there is none.
     """
-    file = open_fleet_file(fleet_recording(path))
+    file = open_fleet_file(path)
     try:
         with writing(out), Writer(out, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
             return _copied(file, bag)
@@ -247,6 +247,6 @@ def _copied(file: FleetFile, bag: Writer) -> int:
 def _payloads(file: FleetFile, ours: Ros2) -> Iterator[tuple[int, str, bytes]]:
     """When each message was heard, its topic and its bytes."""
     with suspecting(file.path):
-        for said in said_in(file.path, ours.rows):
+        for said in said_in(file.paths, ours.rows):
             if (payload := ours.telling.message(said.message)) is not None:
                 yield said.log_time_ns, "/".join(ours.topic(said.message)), payload

@@ -10,6 +10,7 @@ from bisect import bisect_right
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
+from itertools import chain
 from pathlib import Path
 from threading import Event, Thread
 from types import TracebackType
@@ -19,13 +20,13 @@ import msgspec
 
 from agent.clock import machine
 from agent.core.codec import Refusal
-from agent.core.config import ConfigError, Fleet
+from agent.core.config import ConfigError
 from agent.core.topics import Topic
 from agent.ground.page.rows import CAME, KEPT, LINES, SELDOM_NS, Board, Rows, text
 from replay.files.channels import network_topic
 from replay.files.info import suspecting
 from replay.files.log import read
-from replay.report.timeline import fleet_recording, open_fleet_file, open_run, surveyed
+from replay.report.timeline import open_fleet_file, open_run, surveyed
 
 # --- a recording laid out ---
 # A recording of a fleet, laid out so that any moment of it can be shown: rows by time, their payloads on the disk.
@@ -46,8 +47,8 @@ class Reel:
 
     def __init__(self, path: Path) -> None:
         """`path`: a recording of a fleet, or the folder of a run with one in it. Raises ConfigError for others."""
-        self.file = fleet_recording(path)
-        self.fleet: Fleet = open_fleet_file(self.file).fleet
+        opened = open_fleet_file(path)
+        self.file, self.fleet = opened.path, opened.fleet
         self.times_ns: list[int] = []
         self._rows: list[Row] = []
         self._of: dict[str, tuple[list[int], list[int]]] = {}  # key: its times, and which rows they are
@@ -55,7 +56,7 @@ class Reel:
         self._spool = tempfile.TemporaryFile(prefix="aucamp-page-")  # noqa: SIM115 - closed by __exit__
         rows, topics = Rows(self.fleet), {}
         end = 0
-        for record in read(self.file):
+        for record in chain.from_iterable(map(read, opened.paths)):
             if record.channel not in topics:
                 topics[record.channel] = network_topic(record.channel)
             if (row := topics[record.channel]) is None or (key := rows.key(*row, record.data)) is None:

@@ -39,6 +39,7 @@ from agent.ground.page.rows import Board, Viewer, text
 from agent.process.certificates import credentials
 from agent.process.transport import LOOKER, Observer, fleet_clock
 from agent.robot.fleet_reader import load_fleet
+from replay.files.recover import auto_recovered
 from replay.recorder import record
 from replay.report.page import LOOKS, PALETTE
 
@@ -353,7 +354,8 @@ def run(what: Path, console: str | None, port: int, out: Path, stop: Event, say:
     if what.is_dir() or what.suffix != ".toml":
         if console is not None:
             raise ConfigError(f"{what}: is a recording, and nobody can be ordered about in it; leave out --as")
-        page_of_recording(what, stop, port, open_it)
+        (there,) = auto_recovered([what], say)
+        page_of_recording(there, stop, port, open_it)
         return
     fleet = load_fleet(what)
     name = console or LOOKER

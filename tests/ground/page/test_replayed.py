@@ -19,6 +19,8 @@ from agent.core.topics import IMAGE, LINK, LOG, STATE
 from agent.ground.page.replayed import Reel, Replayed, came_of, show_what_came
 from agent.ground.page.rows import LINES, Board, Rows
 from agent.ground.page.server import hello
+from agent.ground.page.server import run as run_page
+from replay.files.mcap_file import active, recovered
 from replay.report.report import report
 from tests.ground.page.shown import FLEET, NOW_NS, image, log, record, row, state
 from tests.known_lens import CAMERA, PLAIN
@@ -254,3 +256,14 @@ def test_a_recording_names_no_calibration_outside_of_its_folder(tmp_path) -> Non
 def test_a_recording_that_breaks_its_report_is_told_on_the_page(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr("agent.ground.page.replayed.open_run", lambda path: {}["x"])
     assert "cannot be told" in json.loads(came_of(tmp_path))["said"][0][1]
+
+
+def test_a_torn_recording_is_mended_before_it_is_shown(tmp_path, monkeypatch) -> None:
+    whole = overheard_run(GOLDEN / "three", tmp_path / "fleet.mcap")
+    active(whole).write_bytes(whole.read_bytes()[:-30])
+    whole.unlink()
+    shown, lines = [], []
+    monkeypatch.setattr("agent.ground.page.server.page_of_recording", lambda path, *_: shown.append(path))
+    run_page(active(whole), None, 0, tmp_path, Event(), lines.append)
+    assert shown == [recovered(whole)]
+    assert len(lines) == 1 and "was torn, mended as" in lines[0]

@@ -47,7 +47,7 @@ def test_what_is_written_is_read_in_order(tmp_path: Path) -> None:
     }
     assert about.end["cause"] == "clean"
     assert about.attachments == {"fleet.toml": "fleet = 'tank'\n"}
-    assert about.channels["/text"] == ("json", {"unit": "m"}, 1, 2, 5000, 5000, 0, "")
+    assert about.channels["/text"] == ("json", {"unit": "m"}, 1, 2, 5000, 5000, 0, "", 3, 1)
     assert about.channels["/raw/in"].messages == 250
     assert not path.with_name("r1.mcap.active").exists()
 

@@ -16,7 +16,9 @@ from agent.core.config import ConfigError
 from replay.check.check import check
 from replay.files.channels import FRAME, STEP_IN, STEP_OUT, Backlog, Entry, entry_on
 from replay.files.info import describe, info
-from replay.files.log import Limits, LogWriter, parts, read
+from replay.files.log import Limits, LogWriter, parts, read, unused
+from replay.files.recover import auto_recovered
+from replay.story import info_all
 from tests.places import GOLDEN, ROOT
 from tests.waiting import until
 
@@ -63,11 +65,38 @@ def test_parts_are_replayed_as_a_chain_and_not_alone(tmp_path: Path) -> None:
             log.put(Entry(*record, "msgpack", {}))
             if n % 20 == 0:
                 until(lambda: not len(log._backlog))
-    assert len(parts(tmp_path / "r1.mcap")) > 2
+    names = [file.name for file in parts(tmp_path / "r1.mcap")]
+    assert len(names) > 4
     (result,) = check([tmp_path]).results
-    assert (result.verdict, result.steps) == ("identical", 320)
+    assert (result.verdict, result.steps, result.notes[1:]) == ("identical", 320, ())
     with pytest.raises(ConfigError, match="is part 2, and its steps build on those before"):
         check([tmp_path / "r1.part002.mcap"])
+
+    (tmp_path / names[2]).unlink()
+    missing = f"{tmp_path / names[2]} is missing: {names[3]} to {names[-1]} are left out; put it back there"
+    assert told(tmp_path) == told(tmp_path / "r1.mcap") == [missing]
+    (result,) = check([tmp_path]).results
+    assert result.verdict == "identical" and result.steps < 320
+    assert missing in result.notes
+
+    for name in names[3:]:
+        (tmp_path / name).unlink()
+    goes_on = f"{tmp_path / names[1]} goes on in {names[2]}, which is not here; put it back there"
+    assert told(tmp_path) == told(tmp_path / "r1.mcap") == [goes_on]
+    assert goes_on in check([tmp_path]).results[0].notes
+
+    (tmp_path / "r1.mcap").unlink()
+    assert told(tmp_path) == [f"{tmp_path / 'r1.mcap'} is missing: {names[1]} is left out; put it back there"]
+    assert unused(tmp_path / "r1.mcap").name == "r1.2.mcap"  # its parts would be in the way of those there
+    lines: list[str] = []
+    info_all([tmp_path], False, lines.append)
+    assert lines[0].splitlines()[:2] == [str(tmp_path / names[1]), f"  {told(tmp_path)[0]}"]
+
+
+def told(path: Path) -> list[str]:
+    lines: list[str] = []
+    auto_recovered([path], lines.append)
+    return lines
 
 
 def test_a_part_ends_by_its_age_too(tmp_path: Path) -> None:

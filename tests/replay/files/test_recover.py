@@ -13,7 +13,7 @@ import pytest
 from agent.core.config import ConfigError
 from replay.files.channels import CUT, STEP_IN, STEP_OUT, Entry
 from replay.files.info import describe, info
-from replay.files.log import LogWriter, Record, read
+from replay.files.log import LogWriter, Record, read, unused
 from replay.files.mcap_file import Part, active, hold, is_held, recovered
 from replay.files.recover import auto_recovered, black_boxes, recover, recover_all, recovering, sound, torn_files
 from tests.places import GOLDEN, ROOT
@@ -268,15 +268,98 @@ def test_what_is_torn_under_its_finished_name_is_read_mended(tmp_path: Path, dat
     assert "mended already; " in lines[1]
 
 
-def test_a_stale_mended_copy_beside_a_whole_file_is_told(tmp_path: Path) -> None:
-    recover(torn(tmp_path, write(tmp_path / "x.mcap", steps(3))[:-20]))
+@pytest.mark.parametrize(
+    ("cut", "what"),
+    [(20, "is not of {0} as it is now, and is left out"), (0, "is read in place of {0}, which is whole")],
+)
+def test_a_mended_copy_beside_a_whole_file_is_told(tmp_path: Path, cut: int, what: str) -> None:
+    data, file = write(tmp_path / "x.mcap", steps(3)), tmp_path / "r1.mcap"
+    recover(torn(tmp_path, data[: len(data) - cut][:-9] + bytes(9)))
     (tmp_path / "r1.mcap.active").unlink()
-    (tmp_path / "x.mcap").rename(tmp_path / "r1.mcap")
+    (tmp_path / "x.mcap").rename(file)
     lines: list[str] = []
     auto_recovered([tmp_path], lines.append)
-    assert lines == [
-        f"{tmp_path / 'r1.recovered.mcap'} is read in place of {tmp_path / 'r1.mcap'}, which is whole; move it away"
-    ]
+    assert lines[-1] == f"{recovered(file)} {what.format(file)}; move it away"
+    assert black_boxes(tmp_path) == [file if cut else recovered(file)]
+
+
+def test_a_mended_copy_of_less_is_made_anew(tmp_path: Path, data: bytes) -> None:
+    """The writer went on, or the copy of the file was broken off."""
+    file, lines = auto_recover_torn(tmp_path, data[: len(data) // 2]), list[str]()
+    auto_recovered([tmp_path], lines.append)
+    less = len(list(read(tmp_path / "r1.mcap")))
+    file.write_bytes(data)
+    assert auto_recovered([file, tmp_path], lines.append) == [recovered(file), tmp_path]
+    assert f"{file} was torn, mended as" in lines[1]
+    assert len(list(read(recovered(file)))) == len(list(read(tmp_path / "r1.mcap"))) > less
+
+
+def test_a_mended_copy_of_more_or_of_another_start_is_kept(tmp_path: Path, data: bytes) -> None:
+    file = auto_recover_torn(tmp_path, data)
+    (copy,) = auto_recovered([file], lambda line: None)
+    kept = copy.read_bytes()
+    (tmp_path / "x").mkdir()
+    for other in (data[: len(data) // 2], write_box(tmp_path / "x", views=True).read_bytes()[:-30]):
+        file.write_bytes(other)
+        lines: list[str] = []
+        assert auto_recovered([file], lines.append) == [file]
+        assert f"{copy}: exists already; give another name or move it away" in lines
+        assert copy.read_bytes() == kept
+    file.unlink()
+    assert unused(tmp_path / "r1.mcap") == tmp_path / "r1.2.mcap"  # or the next one would be where it is mended
+
+
+def test_a_lost_header_is_not_found_in_the_copy(tmp_path: Path) -> None:
+    data = bytearray(write_box(tmp_path, views=False).read_bytes())
+    data[200:260] = bytes(60)
+    (tmp_path / "r1.mcap").write_bytes(data)
+    copy = tmp_path / "r1.recovered.mcap"
+    for read_it in (lambda folder: auto_recovered([folder], lambda line: None), black_boxes):
+        with pytest.raises(ConfigError, match=f"{copy}: damaged: its header cannot be read; move it away"):
+            read_it(tmp_path)
+    assert [each.what for each in info(copy).damage] == ["before it was mended its header could not be read"]
+
+
+def test_bytes_behind_the_end_are_counted_as_lost(tmp_path: Path) -> None:
+    first, second = write(tmp_path / "r1.mcap", steps(3)), write(tmp_path / "x.mcap", steps(4))
+    (tmp_path / "r1.mcap").write_bytes(first + second)
+    result = recover(tmp_path / "r1.mcap")
+    assert (result.bytes_lost, result.lossy) == (len(second), True)
+    assert f"{len(second)} of {len(first + second)} bytes lost at 1 places" in result.summary
+    (tmp_path / "x.mcap").unlink()
+    lines: list[str] = []
+    auto_recovered([tmp_path], lines.append)
+    assert lines == [f"{result.out} is read in place of {tmp_path / 'r1.mcap'}, which is damaged"]
+
+
+def test_a_mending_that_was_killed_is_no_recording(tmp_path: Path, data: bytes) -> None:
+    file, lines = auto_recover_torn(tmp_path, data, "r2.mcap"), list[str]()
+    active(recovered(file)).write_bytes(data[:2000])
+    auto_recovered([tmp_path], lines.append)
+    assert len(lines) == 1 and f"{file} was torn, mended as" in lines[0]
+    assert black_boxes(tmp_path) == [recovered(file)]
+
+
+def test_steps_behind_a_hole_are_left_out_and_told(tmp_path: Path) -> None:
+    write(
+        tmp_path / "r1.mcap", [*steps(5), *((channel.name, n) for n in range(7, 10) for channel in (STEP_IN, STEP_OUT))]
+    )
+    lines: list[str] = []
+    auto_recovered([tmp_path], lines.append)
+    assert lines == [f"{tmp_path / 'r1.mcap'}: steps are missing after step 4: 3 later ones are left out"]
+
+
+def test_a_robot_that_was_recorded_apart_from_the_others_is_told(tmp_path: Path) -> None:
+    lines: list[str] = []
+    for name, dive in (("r1", "three"), ("r2", "three"), ("r3", "survey")):
+        source = GOLDEN / dive / ("r1.mcap" if name == "r3" else f"{name}.mcap")
+        shutil.copy(source, tmp_path / f"{name}.mcap")
+    auto_recovered([tmp_path], lines.append)
+    assert lines == []  # the third calls itself r1
+    shutil.copy(GOLDEN / "survey" / "r2.mcap", tmp_path / "r3.mcap")
+    (tmp_path / "r2.mcap").unlink()
+    auto_recovered([tmp_path], lines.append)
+    assert len(lines) == 2 and "r1 was recorded from 2026-01-01 00:00:00 UTC, while no other robot was" in lines[0]
 
 
 def test_of_copies_of_one_start_the_largest_is_read(tmp_path: Path) -> None:
