@@ -19,7 +19,7 @@ from agent.experiments.navigation import around_ball, basin, manoeuvres, search
 from agent.experiments.navigation.around_ball import aided, crossing, free_place, target
 from agent.experiments.navigation.basin import CAMERA, PlanarBodies
 from agent.experiments.navigation.joint_filter import JointFilter
-from agent.experiments.navigation.manoeuvres import ORBIT_M, ORBIT_M_S, goto, off_orbit, settled_s
+from agent.experiments.navigation.manoeuvres import ORBIT_M, ORBIT_M_S, gone_round, goto, off_circle, settled_s
 from agent.experiments.navigation.swimmers import DrawnCamera, Swimmers
 from hw.twin.dive import RobotPose
 
@@ -142,9 +142,12 @@ def test_when_it_settles_and_how_far_it_is_off_an_orbit() -> None:
     t = np.linspace(0.0, 20.0, 200)
     way = 0.7 + ORBIT_M_S / ORBIT_M * t
     late = np.column_stack([t, 1.0 + ORBIT_M * np.cos(way - 0.1), 2.0 + ORBIT_M * np.sin(way - 0.1), way])
-    assert off_orbit(late, (1.0, 2.0)).max() < 1e-9, "a steady lag is none"
+    assert off_circle(late, (1.0, 2.0)).max() < 1e-9 and gone_round(late, (1.0, 2.0)) == pytest.approx(1.0, abs=0.01)
+    waits = late.copy()
+    waits[100:, 1:3] = late[100, 1:3]
+    assert off_circle(waits, (1.0, 2.0)).max() < 1e-9 and gone_round(waits, (1.0, 2.0)) == pytest.approx(0.5, abs=0.05)
     late[:, 1] += 0.01
-    assert off_orbit(late, (1.0, 2.0)).mean() == pytest.approx(0.01, abs=0.002)
+    assert off_circle(late, (1.0, 2.0)).mean() == pytest.approx(0.0064, abs=0.001)
 
 
 def test_what_is_said_in_one_step_is_heard_in_the_next_unless_it_is_lost() -> None:

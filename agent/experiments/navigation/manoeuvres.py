@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from functools import partial
+from statistics import fmean
 
 import numpy as np
 from numpy.typing import NDArray
@@ -79,16 +80,22 @@ def orbit(seed: int, gaps: bool = False) -> Row:
     told = Orbit(x_m=cx, y_m=cy, radius_m=ORBIT_M, speed_m_s=ORBIT_M_S)
     path = _swum(seed, pose, told, basin.FLOOR_LOOK, SETTLE_S + WATCH_S, _in_gaps if gaps else None)
     watched = path[path[:, 0] > SETTLE_S]
-    return {"rms_mm": rms((1e3 * off_orbit(watched, (cx, cy))).tolist())}
+    return {"rms_mm": rms((1e3 * off_circle(watched, (cx, cy))).tolist()), "swum": gone_round(watched, (cx, cy))}
 
 
-def off_orbit(path: Path, centre_m: tuple[float, float]) -> NDArray[np.float64]:
-    """How far from a point that goes round as it should, m, (n,); where that began is fitted: a steady lag is none."""
-    east, north = path[:, 1] - centre_m[0], path[:, 2] - centre_m[1]
-    ways = np.arctan2(north, east) - ORBIT_M_S / ORBIT_M * path[:, 0]
-    began = math.atan2(float(np.sin(ways).mean()), float(np.cos(ways).mean()))
-    there = began + ORBIT_M_S / ORBIT_M * path[:, 0]
-    return np.hypot(east - ORBIT_M * np.cos(there), north - ORBIT_M * np.sin(there))
+def off_circle(path: Path, centre_m: tuple[float, float]) -> NDArray[np.float64]:
+    """How far from its circle, m, (n,). An orbit waits for a robot that is unsure of its place: when it is where on the
+    circle is another number."""
+    return np.asarray(np.abs(np.hypot(path[:, 1] - centre_m[0], path[:, 2] - centre_m[1]) - ORBIT_M))
+
+
+def gone_round(path: Path, centre_m: tuple[float, float]) -> float:
+    """What it swam, from second to second and either way round, of what its speed makes; a share."""
+    if not np.isfinite(path).all():
+        return 0.0
+    seconds = path[np.searchsorted(path[:, 0], np.arange(path[0, 0], path[-1, 0], 1.0))]
+    ways = np.unwrap(np.arctan2(seconds[:, 2] - centre_m[1], seconds[:, 1] - centre_m[0]))
+    return float(np.abs(np.diff(ways)).sum() / (ORBIT_M_S / ORBIT_M * (seconds[-1, 0] - seconds[0, 0])))
 
 
 def settled_s(t_s: NDArray[np.float64], off: NDArray[np.float64], limit: float) -> float | None:
@@ -149,6 +156,8 @@ def summary(rows: Rows) -> dict[str, Value]:
         if case in rows:
             values = [row[key] for row in rows[case]]
             found[f"{case}_{key}"] = None if None in values else rms(values)
+    if "orbit-gaps" in rows:
+        found["orbit-gaps_swum"] = 100.0 * fmean(row["swum"] for row in rows["orbit-gaps"])
     for case, key in (("goto", "s"), ("goto", "overshoot_mm"), ("turn", "s")):
         if case in rows:
             found[f"{case}_{key}"] = Quantile([row[key] for row in rows[case]], 95.0)
@@ -168,6 +177,7 @@ CLAIM = Claim(
         Figure("turn_s", "turns by 90 deg: within 3 deg for good, 95 %", "s", most=3.0),
         Figure("orbit_rms_mm", "orbits at 0.1 m/s: off its circle, rms", "mm"),
         Figure("orbit-gaps_rms_mm", "the same, 2 s of every 4 s without tags", "mm", most=8.0),
+        Figure("orbit-gaps_swum", "what it swims then, of the way of 0.1 m/s", "%"),
     ),
     seeds=60,  # as many as the 95 % take
     explanation="""One robot does what its fleet file tells it, from when it is armed and sure of itself. Its body is
