@@ -200,13 +200,19 @@ def test_a_fault_a_second_is_made_up_for(board):
     assert board.control.state == wire.ARMED and ladder(board) == (failsafe.OK, "none")
 
 
-def test_on_the_bench_the_first_fault_of_the_control_stops_the_thruster():
+def on_the_bench() -> BareBoard:
+    """Thruster 3 turns."""
     board = BareBoard()
     board.greet()
     board.answers(wire.MODE, 5, board.boot_id, wire.BENCH, 3)
     board.arm(req_id=6)
     board.hold(5)
     assert board.hal.pulses_us[2] == 1560
+    return board
+
+
+def test_on_the_bench_the_first_fault_of_the_control_stops_the_thruster():
+    board = on_the_bench()
     board.control._turn_one = breaks
     board.hold(1)
     assert board.control.state == wire.DISARMED and board.hal.pulses_us == [1500] * 8
@@ -299,11 +305,7 @@ def test_nor_does_it_arm_a_robot_whose_wires_nobody_has_checked():
 
 
 def test_a_thruster_that_turns_on_the_bench_stops_when_another_host_greets():
-    board = BareBoard()
-    board.greet()
-    board.answers(wire.MODE, 5, board.boot_id, wire.BENCH, 3)
-    board.arm(req_id=6)
-    board.hold(5)
+    board = on_the_bench()
     board.greet()
     assert board.hal.pulses_us[2] == 1560, "the same host may greet again"
     board.greet(host=2)
