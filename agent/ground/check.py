@@ -260,5 +260,9 @@ def computer_findings(here: Sequence[str], folder: Path) -> Iterator[Finding]:
 def before_dive(fleet: Fleet, name: str, path: Path, folder: Path) -> str | None:
     """What will go wrong in a dive of this robot though its agent starts, in one line; None: nothing is known to.
     `folder`: where it records."""
-    found = (*running_findings(fleet, name, path), *computer_findings([name], folder))
+    found = (
+        *calibration_findings(fleet, name, path),
+        *running_findings(fleet, name, path),
+        *computer_findings([name], folder),
+    )
     return "; ".join(finding.text for finding in found if finding.level != "ok") or None

@@ -20,7 +20,7 @@ from tests.waiting import until
 distributed = pytest.importorskip("distributed", reason="the extra `cluster` is not installed")
 
 PURE = (ROWS, "result.json")
-KILLS = 4
+KILLS = 2
 
 
 def content(folder: Path) -> list[bytes]:

@@ -282,10 +282,14 @@ def test_an_agent_says_in_one_line_what_will_go_wrong_and_starts(real: Path, mon
     monkeypatch.setattr(devices, "camera", lambda fleet, name: "a camera")
     monkeypatch.setattr(check_files, "OPEN_FILES", 1 << 40)
     changed(real, serial='"/dev/ttyNONE"')
+    bad = replace(TWIN, r2=-0.3, rmse_m=0.309)
+    known = Calibration(robot="r1", made="2026-01-01", source="a test", focus=bad, camera=TWIN_CAMERA)
+    (real.parent / "calibration" / "r1.toml").write_text(dump(known))
     done = CliRunner().invoke(app, ["agent", str(real), "--robot", "r1", "--out", str(real.parent)])
     assert done.exit_code == 0, done.output
     (told,) = (line for line in done.stderr.splitlines() if line.startswith("r1: before the dive: "))
     assert "/dev/ttyNONE: no such serial port" in told and "run: ulimit -n" in told
+    assert "calibration/r1.toml: its focus curve misses what it was fitted to by 309 mm rms" in told
 
 
 def test_an_address_that_every_computer_has_is_told_of(real: Path, tmp_path: Path) -> None:
