@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
-from agent.reconstruction import held_back, surfels
+from agent.reconstruction import held_back
 from agent.reconstruction.export import depth_unit, write_transforms
 from agent.reconstruction.mesh import Mesh
 from agent.reconstruction.run import Settings, looked_at, run, scale_of
@@ -51,7 +51,6 @@ def test_what_was_written_is_read(folder: Path) -> None:
 def test_a_scene_is_learnt_alike_whatever_its_unit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The image model's cells are millimetres of a tank: a scene twenty times as large has no other picture."""
     monkeypatch.setattr(held_back, "ENOUGH", 6)
-    monkeypatch.setattr(surfels, "EPOCHS", 2)
     floor = partial(plane_depth, normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
     found = []
     for unit in (1.0, UNIT):
