@@ -474,15 +474,16 @@ def box_range(
     focus: FocusFit | None,
     camera: CameraFit | None = None,
     outward: float = ANY_WAY,
+    spread: float = 0.0,
 ) -> BoxRange | NoPeak:
     """Where the clarity (n,) at the lens positions (n,) has its one peak; NoPeak where it has none, or several. The box
-    is one of the camera's picture. outward: see `focus.port_share`."""
+    is one of the camera's picture. outward: see `focus.port_share`. spread: of what is in it, lens positions."""
     if clarity.max() - np.median(clarity) < MIN_RISE:
         return NoPeak("no texture: it is as sharp at every lens position")
     peak = fit_peak(lens_positions.tolist(), clarity.tolist())
     if isinstance(peak, NoPeak):
         return peak
-    sigma = math.hypot(peak.sigma, phase_sigma(peak.width, INNER_BOX**2 * box.width * box.height))
+    sigma = math.hypot(peak.sigma, phase_sigma(peak.width, INNER_BOX**2 * box.width * box.height), spread)
     found = BoxRange(peak.lens_position, sigma, peak.quality)
     if focus is None:
         return found
@@ -528,20 +529,24 @@ LEAST_GROWTH = 0.0025  # of the whole sweep: blur that changes looks like up to 
 MAX_STEP = 0.01  # growth from one frame to the next that is believed: seven times that of a small module
 
 
-def measure_growth(images: Sequence[NDArray[np.uint8]]) -> float | None:
-    """Relative growth of the picture from the first frame to the last, frames at equal lens steps; None: unknown.
+def measure_growth(images: Sequence[NDArray[np.uint8]], lens_positions: Array | None = None) -> float | None:
+    """Relative growth of the picture from the first frame to the last; None: unknown.
 
-    Frames are (height, width, 3) blue green red, or grey. The scene stands still. What moves all of the picture alike,
-    or stretches it one way only, is not growth.
+    Frames are (height, width, 3) blue green red, or grey, at rising lens positions (n,), or equal lens steps. The scene
+    stands still. What moves all of the picture alike, or stretches it one way only, is not growth.
     """
     count, scale = len(images), 1 / max(1, round(images[0].shape[1] / WIDTH_PX))
-    ends = [round(k) for k in np.linspace(0, count - 1, min(LINKS, count - 1) + 1).tolist()]
+    at = np.arange(float(count))  # in mean steps
+    if lens_positions is not None:
+        at = (lens_positions - lens_positions[0]) * ((count - 1) / (lens_positions[-1] - lens_positions[0]))
+    wanted = np.linspace(0, count - 1, min(LINKS, count - 1) + 1)
+    ends = sorted({round(k) for k in np.interp(wanted, at, np.arange(float(count))).tolist()})
     small = {k: _scaled(luminance(images[k]), scale) for k in ends}
     if min(small[0].shape) < SMALLEST_PX:
         return None
     links, start = [], np.eye(2, 3, dtype=np.float32)
     for a, b in itertools.pairwise(ends):
-        growth, start = step_growth(small[a], small[b], b - a, start)
+        growth, start = step_growth(small[a], small[b], float(at[b] - at[a]), start)
         links.append(growth)
     known = [growth for growth in links if growth is not None]
     if not known:
@@ -558,8 +563,8 @@ def _scaled(grey: Grey, scale: float) -> Grey:
     return np.asarray(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA), np.uint8)
 
 
-def step_growth(a: Grey, b: Grey, steps: int, start: Warp) -> tuple[float | None, Warp]:
-    """Relative growth a step, from frame a to frame b `steps` later; None where they cannot be registered.
+def step_growth(a: Grey, b: Grey, steps: float, start: Warp) -> tuple[float | None, Warp]:
+    """Relative growth a step, from frame a to frame b `steps` on; None where they cannot be registered.
 
     start: the warp (2, 3) to begin at. With the growth comes the warp found, or `start` where none is.
     """

@@ -84,6 +84,7 @@ class DepthSweep(NamedTuple):
     finer: Finer | None = None  # what edges in depth are found with; None: blocks of so few pixels are not cut
     corner_px: tuple[float, float] = (0.0, 0.0)  # of what was measured, in the first picture
     moved_px: float = 0.0  # that the picture moved during the sweep, which was undone
+    light: float = 1.0  # of the brightest frame to the darkest, which was undone; 1: as good as steady
 
 
 class DepthMap(NamedTuple):
@@ -97,6 +98,8 @@ class DepthMap(NamedTuple):
     box_range: BoxRange | NoPeak | None = None  # of what is in the box, if there is one
     corner_px: tuple[float, float] = (0.0, 0.0)  # of the map, in the first picture
     moved_px: float = 0.0  # that the picture moved during the sweep, which was undone
+    light: float = 1.0  # see DepthSweep
+    uneven: float = 1.0  # the longest step between lens positions to the median one
 
     @property
     def along(self) -> int:
@@ -156,7 +159,7 @@ def sweep(
     lens_positions = np.array(reached)
     check_frames(images, names)
     if growth is None:
-        growth = measure_growth(images) or 0.0  # unknown: as good as any
+        growth = measure_growth(images, lens_positions) or 0.0  # unknown: as good as any
     steady = steadied(images, growth)
     if box is not None:
         box = box._replace(x=box.x - steady.corner_px[0], y=box.y - steady.corner_px[1])
@@ -172,6 +175,8 @@ def sweep(
 # --- what is wrong with the frames of a sweep ---
 
 JUMP = 1.15  # of the mean brightness from one frame to the next; blur and breathing leave it as it is
+CREEP = 1.02  # of the brightest frame to the darkest; blur makes 1.016 of a picture with much contrast, by its gamma
+DARK = 4.0  # of 255: below it noise and black level are most of a mean
 STILL_PX = 2.0  # of a picture from end to end: less is no movement
 STEP_SHARE = 0.1  # of the picture's width from one frame to the next: more is another picture
 SURE = 0.2  # response of phase correlation from which on a shift is one
@@ -260,6 +265,9 @@ def clarity_of(
     peaks most: those of the twin's floor by 9 lens positions at 0.25 m, not at all at 0.8 m. With `growth_power` they
     lie within a position of the truth from 0.4 to 0.8 m.
 
+    Clarity goes with the square of the light. Where that creeps, by an exposure or a lamp that is not steady, all of a
+    sweep's peaks go with it; it is taken out as the mean of all blocks together, which follow the picture as it grows.
+
     split: clarity of the blocks' parts and cells as well, by which `measure` finds and splits blocks with two depths.
     """
     height, width = images[0].shape[:2]
@@ -270,22 +278,35 @@ def clarity_of(
     grids = [(grid(height, block, k, cuts=n), grid(width, block, k, cuts=n)) for k in size]
     sums = [tenengrad_sums(image, *edges) for image, edges in zip(images, grids, strict=True)]
 
+    light = np.array(
+        [
+            float(luminance(image)[r[0] : r[-1], c[0] : c[-1]].mean())
+            for image, (r, c) in zip(images, grids, strict=True)
+        ]
+    )
+    crept = float(light.min()) > DARK and float(light.max() / light.min()) > CREEP
+    steady = (light[reference] / light) ** 2 if crept else np.ones(len(light))
+
     def per_pixel(along: int) -> Array:
         """Clarity of squares of along x along cells."""
         return np.array(
-            [_pooled(s, along) / areas(r[::along], c[::along]) for s, (r, c) in zip(sums, grids, strict=True)]
+            [
+                k * (_pooled(s, along) / areas(r[::along], c[::along]))
+                for k, s, (r, c) in zip(steady, sums, grids, strict=True)
+            ]
         )
 
     clarity, finer, parts, sizes = per_pixel(n), None, n, size[:, None, None]
-    half = [half_clarity(image, r[::n], c[::n]) for image, (r, c) in zip(images, grids, strict=True)]
+    half = [k * half_clarity(image, r[::n], c[::n]) for k, image, (r, c) in zip(steady, images, grids, strict=True)]
     power = growth_power(clarity, np.array(half))
     clarity *= sizes**power  # as if the picture did not grow
     if n > 1:
         finer = Finer(*(per_pixel(along) * sizes ** each_part(power, n // along) for along in (2, 1)))
         parts = 2
     sharp = sharpest(images, [(r[::parts], c[::parts]) for r, c in grids], finer.parts if finer else clarity, reference)
-    in_box = None if box is None else box_clarity(images, size, box)
-    return DepthSweep(lens_positions, clarity, sharp, growth, reference, in_box, finer)
+    in_box = None if box is None else steady * box_clarity(images, size, box)
+    ratio = float(light.max() / light.min()) if crept else 1.0
+    return DepthSweep(lens_positions, clarity, sharp, growth, reference, in_box, finer, light=ratio)
 
 
 def _pooled(sums: Sums, along: int) -> Sums:
@@ -347,7 +368,17 @@ def measure(
         if parts is not None:
             way = _outward_of(taken, camera, block, cuts(block) // 2)
             parts = parts.ranged(focus, camera, side, taken.corner_px, way)
-    return DepthMap(block, blocks, parts, taken.sharp, taken.growth, corner_px=taken.corner_px, moved_px=taken.moved_px)
+    return DepthMap(
+        block,
+        blocks,
+        parts,
+        taken.sharp,
+        taken.growth,
+        corner_px=taken.corner_px,
+        moved_px=taken.moved_px,
+        light=taken.light,
+        uneven=float(np.diff(x).max() / max(np.median(np.diff(x)), 1e-9)),
+    )
 
 
 def _outward_of(taken: DepthSweep, camera: CameraFit | None, block: int, along: int) -> Array | None:

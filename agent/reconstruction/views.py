@@ -468,7 +468,7 @@ def growth_of(images: Sequence[Image], lens_positions: Array, calibration: Calib
     """Relative growth of the picture over the sweep, as calibrated; measured where it is not, 0 where it cannot be."""
     breathing = calibration.camera.breathing
     if breathing == 0.0:
-        return measure_growth(images) or 0.0
+        return measure_growth(images, lens_positions) or 0.0
     first, last = (at_lens_position(calibration.camera, float(lens_positions[n])).f_px for n in (0, -1))
     return last / first - 1.0
 

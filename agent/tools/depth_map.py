@@ -8,6 +8,7 @@ import csv
 import math
 from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -17,7 +18,19 @@ from agent.core.config import ConfigError, write_whole, writing
 from agent.core.ranging.camera_model import CameraFit, FocusFit, at_lens_position, load_focus
 from agent.core.ranging.focus import ANY_WAY, FARTHEST_M, Array, NoPeak, at_tilt, h
 from agent.perception.clarity import INNER_BOX
-from agent.perception.depth_peaks import TEXTS, BoxRange, GridPeaks, any_part, as_json, box_range, cuts, each_part
+from agent.perception.depth_peaks import (
+    AWAY,
+    STEP_SHARE,
+    TEXTS,
+    BoxRange,
+    GridPeaks,
+    any_part,
+    as_json,
+    box_range,
+    cuts,
+    each_part,
+    middle_px,
+)
 from agent.perception.depth_sweep import DepthMap, OnStep, measure, outward, sweep
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import parse_box
@@ -131,6 +144,7 @@ def text(page: Image, words: str, at: tuple[int, int], anchor: str = "start") ->
 # Nothing in a sweep says which camera took it. But peaks that the calibration cannot give a range to, that lie where
 # it was not measured, or that are far wider or narrower than those it was made of, are rarely those of its camera.
 
+UNEVEN_STEPS = 2.0  # longest to usual: then a wide peak leans to where positions are close, by more than its sigma
 LEAST_SHARE = 0.05  # of the clear peaks: fewer ranges are chance, or what a speck of dirt in the view has
 NEAR_POLE = 0.25  # of the peak's half width: warmth and sag shift the focus at infinity by less
 STRANGE_WIDTH = 5.0  # times that of the calibration, or a part: texture and range change a peak's width twofold
@@ -192,6 +206,49 @@ def _why(beyond: int, missing: int) -> str:
 def _metres(focus: FocusFit, lens_position: float) -> str:
     range_m = h(focus, lens_position)
     return "no range" if range_m is None else f"{range_m:.2f} m"
+
+
+# --- what the map shows in a box ---
+# One peak of all that is in a box may lie between two depths, where nothing is. The map's squares there tell.
+
+FEW = 0.1  # of the squares in a box on either side of a gap: fewer may be wrong
+
+
+class Squares(NamedTuple):
+    """Those of the map in the middle of a box, the smallest that there are; each field (n,), lens positions."""
+
+    at: Array
+    sigma: Array
+    width: Array
+
+
+def squares_in(result: DepthMap, box: Box) -> Squares:
+    """box: of the first picture."""
+    peaks, side_px = result.blocks if result.parts is None else result.parts, result.block_px / result.along
+    inner, rows = box.grown(INNER_BOX), list[tuple[float, float, float]]()
+    for row, col in np.argwhere(peaks.accepted).tolist():
+        x, y = middle_px(row, col, side_px, result.corner_px)
+        if inner.x <= x < inner.x + inner.width and inner.y <= y < inner.y + inner.height:
+            rows.append((peaks.lens_position[row, col], peaks.sigma[row, col], peaks.width[row, col]))
+    return Squares(*np.array(sorted(rows)).reshape(-1, 3).T)
+
+
+def two_depths(squares: Squares, step: float) -> NoPeak | None:
+    """A gap with squares on both sides, of lens positions a `step` apart; a slope has some all along."""
+    at, sigma, width = squares
+    apart, least = np.maximum(AWAY * width, STEP_SHARE * step) + sigma, max(2, math.ceil(FEW * len(at)))
+    for k in range(least, len(at) - least + 1):
+        if at[k] - at[k - 1] > max(apart[k - 1], apart[k]):
+            both = f"{np.median(at[:k]):.4g} and at {np.median(at[k:]):.4g}"
+            return NoPeak(f"it holds two depths, sharp at {both}; draw it around one of them")
+    return None
+
+
+def spread(squares: Squares) -> float:
+    """How far the squares scatter, beyond what they err by: a slope, or depths that are close, lens positions."""
+    if len(squares.at) < 2:
+        return 0.0
+    return math.sqrt(max(float(np.var(squares.at) - np.mean(squares.sigma**2)), 0.0))
 
 
 # --- as a table and a figure ---
@@ -272,8 +329,15 @@ def depth_map(
         raise ConfigError(f"{out}: give --out a name that ends in .png, in a folder that exists")
     for file in _files(out, box is not None):
         new_file(file)
-    camera = open_camera(_address(source), twin_dir, None)
+    address, size = _address(source), None if lens is None else (lens.width_px, lens.height_px)
+    camera = open_camera(address, twin_dir, None if address.startswith("stack:") else size)
     try:
+        if size is not None and camera.size != size:
+            given, calibrated = ("{}x{}".format(*each) for each in (camera.size, size))
+            raise ConfigError(
+                f"{source}: has pictures of {given} pixels, and the camera was calibrated at {calibrated}; "
+                "give pictures as it takes them, or leave --calibration out"
+            )
         taken = sweep(camera, block, progress, growth, box)
     finally:
         camera.close()
@@ -282,11 +346,13 @@ def depth_map(
         way = ANY_WAY
         if lens is not None:
             lens = at_lens_position(lens, float(taken.lens_positions[taken.reference]))
-            x, y, width, height = box.grown(INNER_BOX).moved(-taken.corner_px[0], -taken.corner_px[1])
-            rows, cols = (np.rint([first, first + size]).astype(int) for first, size in ((y, height), (x, width)))
+            left, top, width, height = box.grown(INNER_BOX).moved(-taken.corner_px[0], -taken.corner_px[1])
+            rows, cols = (np.rint([first, first + size]).astype(int) for first, size in ((top, height), (left, width)))
             way = float(outward(taken, lens, rows, cols)[0, 0])
-        found = box_range(taken.lens_positions, taken.box_clarity, box, focus, lens, way)
-        result = result._replace(box_range=found)
+        x, squares = taken.lens_positions, squares_in(result, box)
+        found = box_range(x, taken.box_clarity, box, focus, lens, way, spread(squares))
+        between = two_depths(squares, float(np.ptp(x)) / (len(x) - 1)) if isinstance(found, BoxRange) else None
+        result = result._replace(box_range=between or found)
     write_csv(result, out.with_suffix(".csv"))
     draw(result, out, box)
     if box is not None and isinstance(result.box_range, BoxRange):
@@ -333,6 +399,14 @@ def run(
         said.append(f"blocks of {block} px are too small to be asked whether they hold two depths; take 20 px or more")
     if result.moved_px:
         said.append(f"the picture moved by {result.moved_px:.0f} px during the sweep, which was undone: fix the camera")
+    if result.light > 1.0:
+        said.append(
+            f"brightness changed {result.light:.2f} times in the sweep, which was undone; set exposure and gain by hand"
+        )
+    if result.uneven > UNEVEN_STEPS:
+        said.append(
+            f"doubtful: steps between lens positions differ {result.uneven:.1f} times; peaks lean to the closer ones"
+        )
     if focus is not None and lens is None:
         said.append(f"{calibration} has no [camera]: ranges off the axis are too short, by 6 % at 20 degrees in air")
     if focus is not None and calibration is not None:

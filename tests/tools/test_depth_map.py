@@ -18,7 +18,19 @@ from agent.perception.depth_peaks import BoxRange, GridPeaks, Reason, box_clarit
 from agent.perception.depth_sweep import DepthMap, measure, sweep
 from agent.perception.tracking.appearance import Box
 from agent.process.command import Failed
-from agent.tools.depth_map import GREY, LIGHT, coloured, depth_map, ranges_in_words, run, scale_of, ticks
+from agent.tools.depth_map import (
+    GREY,
+    LIGHT,
+    Squares,
+    coloured,
+    depth_map,
+    ranges_in_words,
+    run,
+    scale_of,
+    spread,
+    ticks,
+    two_depths,
+)
 from hw.camera.camera import CameraError
 from hw.camera.files import open_stack
 from tests.places import DATA
@@ -78,6 +90,29 @@ def test_the_verb_says_what_it_found(planes, tmp_path):
     (tmp_path / "r1.toml").write_text(dump(CALIBRATION))
     said = run(str(planes), tmp_path / "map.png", 40, tmp_path / "r1.toml")
     assert said.startswith("11 of 24 blocks have a clear peak, 7 more in parts, ") and "map.csv" in said
+
+
+def test_a_calibration_at_another_resolution_is_refused(planes, tmp_path):
+    camera = replace(CALIBRATION.camera, width_px=480, height_px=320)
+    (tmp_path / "r1.toml").write_text(dump(replace(CALIBRATION, camera=camera)))
+    with pytest.raises(ConfigError, match=r"has pictures of 240x160 pixels, and the camera was calibrated at 480x320"):
+        run(str(planes), tmp_path / "map.png", 40, tmp_path / "r1.toml")
+
+
+def test_what_is_odd_about_a_sweep_is_said(planes, tmp_path):
+    for n in range(13):
+        path = planes / f"{n:02}.png"
+        cv2.imwrite(str(path), (cv2.imread(str(path)) * (0.8 + 0.015 * n)).astype(np.uint8))
+    (planes / "positions.csv").write_text(
+        "file,focus_position\n" + "".join(f"{n:02}.png,{n + n // 12}\n" for n in range(13))
+    )
+    said = run(str(planes), tmp_path / "map.png", 40, None).splitlines()
+    assert "brightness changed 1.23 times in the sweep, which was undone; set exposure and gain by hand" in said
+    assert not any("doubtful" in line for line in said)
+    far = "".join(f"{n:02}.png,{n + 2 * (n // 12)}\n" for n in range(13))
+    (planes / "positions.csv").write_text(f"file,focus_position\n{far}")
+    said = run(str(planes), tmp_path / "again.png", 40, None)
+    assert "doubtful: steps between lens positions differ 3.0 times; peaks lean to the closer ones" in said
 
 
 def test_a_lens_that_looks_down_is_corrected_by_its_sag(planes, tmp_path):
@@ -174,6 +209,21 @@ def test_the_thing_in_a_box_has_one_range(planes, tmp_path):
     assert found["range_sigma_m"] == pytest.approx(math.hypot(slope * max(found["sigma"], 0.002), 1e-3))
     assert said.splitlines()[-1].startswith(f"in the box: {found['range_m']:.4f} m +- ")
     assert "map.json" in said.splitlines()[0]
+
+
+def squares(*at: float) -> Squares:
+    """Nine of each depth, in a sweep whose peaks are 4 steps wide to either side."""
+    there = np.sort(np.repeat(at, 9) + np.tile(np.linspace(-0.1, 0.1, 9), len(at)))
+    return Squares(there, np.full(len(there), 0.06), np.full(len(there), 4.0))
+
+
+def test_one_peak_between_two_depths_is_refused_and_a_slope_is_not():
+    assert two_depths(squares(5.0, 8.0), 1.0).reason.startswith("it holds two depths, sharp at 5 and at 8; draw it")
+    slope = squares(*np.arange(5.0, 8.1, 0.5))
+    assert two_depths(slope, 1.0) is None and spread(slope) == pytest.approx(1.0, rel=0.01)
+    assert two_depths(squares(5.0), 1.0) is None and spread(squares(5.0)) < 0.06
+    odd = squares(5.0)._replace(at=np.append(squares(5.0).at[:-1], 9.0))
+    assert two_depths(odd, 1.0) is None, "one square may be wrong"
 
 
 def test_a_box_keeps_its_piece_of_a_picture_that_grows():

@@ -9,7 +9,7 @@ from agent.perception.depth_peaks import measure_growth
 from agent.perception.depth_sweep import check_frames, clarity_of, measure, steadied, sweep
 from hw.camera.camera import CameraError, FocusRange, Frame, Roi
 from hw.camera.files import open_stack
-from tests.tools.planes import FOCUS, Breathing, Lens, quiet, two_planes
+from tests.tools.planes import FOCUS, Breathing, Lens, blurred, quiet, two_planes
 
 
 def test_the_picture_is_sharp_everywhere(planes):
@@ -46,6 +46,29 @@ def test_the_grid_grows_with_the_picture():
     assert spread[0] < 0.7 * spread[1]
     with pytest.raises(ConfigError, match=r"growth 0\.5"):
         sweep(lens, 50, quiet, 0.5)
+
+
+def test_growth_goes_by_lens_positions_not_by_frames():
+    lens, images = Breathing(), []
+    lens_positions = 1023.0 * np.linspace(0.0, 1.0, 24) ** 2.5
+    for lens_position in lens_positions:
+        lens.lens_position = lens_position
+        images.append(lens.read().image)
+    assert measure_growth(images, lens_positions) == pytest.approx(0.05, abs=0.004)
+
+
+def test_light_that_creeps_moves_no_peak():
+    texture = SCENE[:160, :200, 0].astype(float)
+    steady = [blurred(texture, 14.3, k, 0.15) for k in range(30)]
+    steady_map, crept_map = (
+        measure(
+            clarity_of([np.clip(each, 0, 255).astype(np.uint8) for each in images], np.arange(30.0), 40, 0.0), 40, None
+        )
+        for images in (steady, [0.75 * 1.01**k * image for k, image in enumerate(steady)])
+    )
+    assert steady_map.light == 1.0 and crept_map.light == pytest.approx(1.01**29, rel=0.02)
+    apart = crept_map.blocks.lens_position - steady_map.blocks.lens_position
+    assert np.abs(apart).max() < 0.05, "1.1 where it is left in"
 
 
 def test_a_scene_without_texture_has_no_growth():
