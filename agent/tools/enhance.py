@@ -57,7 +57,7 @@ class Pictures(NamedTuple):
     kind: Literal["images", "video", "camera"]
     each: Iterator[Picture]
     total: int | None  # None where only the end of the source tells
-    rate_hz: float | None  # of a video
+    rate_hz: float | None  # of a film
     problems: list[str]
     notes: list[str]
 
@@ -65,8 +65,8 @@ class Pictures(NamedTuple):
 def pictures(source: str, frames: int | None, of_camera: int | None = None, upright: bool = False) -> Pictures:
     """`frames` ends the walk early. A camera never ends: it needs `frames`, or `of_camera` in its place.
 
-    upright: images are turned as EXIF says; else pixels are the sensor's. Raises ConfigError, and CameraError as the
-    camera does; the walk raises where not one picture can be read.
+    upright: images are turned as EXIF says and videos as their files say; else pixels are the sensor's. Raises
+    ConfigError, and CameraError as the camera does; the walk raises where not one picture can be read.
     """
     place = Path(source)
     problems, notes = list[str](), list[str]()
@@ -80,15 +80,14 @@ def pictures(source: str, frames: int | None, of_camera: int | None = None, upri
         notes += [] if upright else said(turned([place]))
         one = iter([Picture(place.name, None, read_picture(place, stretch=True, upright=upright))])
         return Pictures("images", one, 1, None, problems, notes)
+    most = frames or of_camera
     if place.is_file():
-        film_camera = open_video(place)
-        count = min(frames or film_camera.count, film_camera.count)
-        each = _film(film_camera, place, frames, count, problems, notes)
-        return Pictures("video", each, count or None, film_camera.rate_hz, problems, notes)
+        return _film(place, "video", frames, upright)
+    if source.startswith("video:") and source != "video:":
+        return _film(Path(source.removeprefix("video:")), "camera", most, upright)
     if ":" not in source:
         raise ConfigError(f"{source}: no such file or folder; give one, or the address of a camera (v4l2:/dev/video0)")
-    most = frames or of_camera
-    if most is None and not source.startswith("video:"):
+    if most is None:
         raise ConfigError(f"{source}: a camera never ends; say how many frames with --frames")
     return Pictures("camera", _shots(source, most), most, None, problems, notes)
 
@@ -111,7 +110,18 @@ def _images(paths: list[Path], problems: list[str], upright: bool) -> Iterator[P
         raise ConfigError(f"not one of {len(paths)} pictures can be read: {problems[-1]}")
 
 
-def _film(
+def _film(path: Path, kind: Literal["video", "camera"], frames: int | None, upright: bool) -> Pictures:
+    camera = open_video(path, upright)
+    count = min(frames or camera.count, camera.count)
+    problems, notes = list[str](), list[str]()
+    if camera.turn_deg and not upright:
+        how = "which is not followed: pixels are counted as the sensor has them"
+        notes.append(f"{path}: says that it is to be turned by {camera.turn_deg} degrees, {how}")
+    each = _frames(camera, path, frames, count, problems, notes)
+    return Pictures(kind, each, count or None, camera.rate_hz, problems, notes)
+
+
+def _frames(
     camera: VideoCamera, path: Path, frames: int | None, count: int, problems: list[str], notes: list[str]
 ) -> Iterator[Picture]:
     """count: how many there should be; 0: nobody knows."""

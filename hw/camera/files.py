@@ -377,8 +377,11 @@ def _photograph(row: dict[str, str], directory: Path, where: str) -> Photograph:
 # --- video ---
 
 
-def open_video(path: Path) -> VideoCamera:
-    """Raises CameraError if OpenCV cannot play the file."""
+def open_video(path: Path, upright: bool = False) -> VideoCamera:
+    """Frames are as the sensor has them; `upright` turns them as the file says, for people who look at them.
+
+    Raises CameraError if OpenCV cannot play the file.
+    """
     if not path.is_file():
         raise CameraError(f"{path}: no such file; give the path of a video")
     capture = cv2.VideoCapture(str(path))
@@ -386,6 +389,7 @@ def open_video(path: Path) -> VideoCamera:
         kind = _kind(path)
         what = f" (it is {kind})" if kind else ""
         raise CameraError(f"{path}: not a video that OpenCV can play{what}; convert it to H.264 in MP4")
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(upright))  # OpenCV turns them by default
     return VideoCamera(capture, path)
 
 
@@ -397,6 +401,7 @@ class VideoCamera:
         self.stamp: Stamp = "exposure-start"
         self.count = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)  # that the file announces; 0: it does not
         self.rate_hz = capture.get(cv2.CAP_PROP_FPS) or 30.0
+        self.turn_deg = round(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360  # by which the file is to be turned
         self._capture = capture
         self._path = path
         self._seq = 0

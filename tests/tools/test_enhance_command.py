@@ -1,6 +1,7 @@
 """`aucamp enhance`, with the classic way: what it reads, writes and refuses does not depend on the network."""
 
 import hashlib
+import struct
 import sys
 
 import cv2
@@ -15,6 +16,7 @@ from agent.tools import enhance as enhance_source
 from agent.tools import evaluate_enhance as enhance_evaluate
 from agent.tools.enhance import pictures
 from hw.camera.files import VideoCamera
+from replay.files.frames import CODECS
 
 NOISE = np.random.default_rng(1).integers(30, 200, (40, 60, 3), dtype=np.uint8)
 PICTURE = np.asarray(NOISE * [0.9, 0.8, 0.3], np.uint8)  # as under water: red reaches not far
@@ -236,7 +238,7 @@ SMOOTH = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (96, 128, 3)
 
 def filmed(path, shifts):
     """A film of SMOOTH, shifted by so many pixels in each frame."""
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (128, 96))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*CODECS[path.suffix]), 30, (128, 96))
     for shift in shifts:
         writer.write(np.roll(SMOOTH, shift, axis=1))
     writer.release()
@@ -288,6 +290,24 @@ def test_a_picture_is_turned_as_a_viewer_turns_it(tmp_path):
     enhance(tmp_path / "a.jpg", tmp_path / "out")
     assert cv2.imread(str(tmp_path / "out" / "a.png")).shape == (128, 96, 3)
     assert next(pictures(str(tmp_path / "a.jpg"), None).each).image.shape == (96, 128, 3)
+
+
+@pytest.mark.parametrize(("matrix", "turn_deg"), [((0, 1, -1, 0), 90), ((-1, 0, 0, -1), 180)])
+def test_a_film_is_turned_as_its_file_says_for_people_alone(tmp_path, matrix, turn_deg):
+    """A telephone that is held upright writes how to turn what it filmed."""
+    film, whole = tmp_path / "film.mp4", filmed(tmp_path / "whole.mp4", [0])
+    data = bytearray(whole.read_bytes())
+    a, b, c, d = (one << 16 for one in matrix)
+    struct.pack_into(">9i", data, data.index(b"tkhd") + 44, a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    film.write_bytes(data)
+    (plain,) = walked(whole)[1]
+    for source in (str(film), f"video:{film}"):
+        found = pictures(source, 1)
+        assert np.array_equal(next(found.each).image, plain.image)
+        how = "which is not followed: pixels are counted as the sensor has them"
+        assert found.notes == [f"{film}: says that it is to be turned by {turn_deg} degrees, {how}"]
+        upright = pictures(source, 1, upright=True)
+        assert np.array_equal(next(upright.each).image, np.rot90(plain.image, -turn_deg // 90)) and not upright.notes
 
 
 def test_one_picture_of_another_kind_is_no_film(tmp_path):
