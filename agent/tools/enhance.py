@@ -42,7 +42,7 @@ WHOLE = 0.98  # of the frames that a video announces: files without an index sta
 
 
 class Picture(NamedTuple):
-    name: str  # of the file; of a video or a camera the number of the frame, from 0
+    name: str  # of the file; of a video or a camera the number of the frame, from 0, those that cannot be read counted
     t_s: float | None  # from the first picture on; None for images
     image: Image  # (height, width, 3), blue green red
 
@@ -127,7 +127,7 @@ def _frames(
     """count: how many there should be; 0: nobody knows."""
     stale = Stale()
     with closing(camera):
-        shots = _read(camera, frames)
+        shots = itertools.takewhile(lambda frame: frames is None or frame.seq < frames, _read(camera, frames))
         first = next(shots, None)
         if first is None:
             raise ConfigError(f"{path}: not one frame can be read; convert it to H.264 in MP4")
@@ -136,18 +136,41 @@ def _frames(
         timed = second is None or second.t_ns > first.t_ns
         if not timed:
             notes.append(f"{path}: its frames have no times, so that t_s is left empty; convert it to MP4")
-        number = 0
         for frame in itertools.chain([first], [] if second is None else [second], shots):
-            stale.look(frame.image)
-            yield Picture(str(number), (frame.t_ns - first.t_ns) * 1e-9 if timed else None, frame.image)
-            number += 1
+            stale.look(frame.image, frame.seq)
+            yield Picture(str(frame.seq), (frame.t_ns - first.t_ns) * 1e-9 if timed else None, frame.image)
+            last = frame.seq
+    unread = [n for n in camera.unread if frames is None or n < frames]
+    number = max([last, *unread]) + 1
+    if unread:
+        which = f"{path}: {_numbered(unread)} cannot be read"
+        problems.append(f"{which}, {len(unread)} of {count or number}; copy or convert it again")
     if number < WHOLE * count:
         problems.append(f"{path}: ends after {number} of {count} frames; it was cut off, copy or convert it again")
-    if number > STALE_FRAMES and stale.runs() == [(0, number - 1)]:
+    elif number < count:
+        notes.append(f"{path}: says that it has {count} frames, and ends after {number}: some may be lost at its end")
+    elif not count and (frames is None or number < frames):
+        notes.append(
+            f"{path}: does not say how many frames it has: some may be lost after its {number}; convert it to MP4"
+        )
+    if stale.runs() == [(first.seq, last)]:
         convert = "if it is interlaced, convert it first: ffmpeg -i FILM -vf yadif NEW.mp4"
         problems.append(f"{path}: all {number} frames are the same picture; {convert}")
     else:
         notes += [f"{path}: frames {begin} to {end} are the same picture" for begin, end in stale.runs()]
+
+
+def _numbered(numbers: Sequence[int]) -> str:
+    """Rising numbers of frames, those in a row together."""
+    runs: list[list[int]] = []
+    for n in numbers:
+        if runs and n == runs[-1][1] + 1:
+            runs[-1][1] = n
+        else:
+            runs.append([n, n])
+    shown = [f"{begin}" if begin == end else f"{begin} to {end}" for begin, end in runs[:NAMED]]
+    more = f" and {sum(end - begin + 1 for begin, end in runs[NAMED:])} more" if len(runs) > NAMED else ""
+    return f"frame{'s' if len(numbers) > 1 else ''} {', '.join(shown)}{more}"
 
 
 STALE_FRAMES = 10  # in a row: a camera that stood still has noise, and one that hung has none
@@ -158,18 +181,18 @@ class Stale:
 
     def __init__(self) -> None:
         self._last: Image | None = None
-        self._begin = self._number = 0  # of the run that goes on, and of the next frame
+        self._begin = self._end = 0  # of the run that goes on
         self._ended: list[tuple[int, int]] = []
 
-    def look(self, image: Image) -> None:
-        """The next frame."""
-        if self._last is not None and not np.array_equal(self._last, image):
-            self._ended, self._begin = self.runs(), self._number
-        self._last, self._number = image, self._number + 1
+    def look(self, image: Image, number: int) -> None:
+        """The next frame, and its number."""
+        if self._last is None or not np.array_equal(self._last, image):
+            self._ended, self._begin = self.runs(), number
+        self._last, self._end = image, number
 
     def runs(self) -> list[tuple[int, int]]:
         """First and last frame of each run longer than STALE_FRAMES."""
-        now = self._begin, self._number - 1
+        now = self._begin, self._end
         return [*self._ended, now] if now[1] - now[0] >= STALE_FRAMES else self._ended
 
 
@@ -307,7 +330,7 @@ def enhanced_film(found: Pictures, file: Path, render: Render, show: Progress) -
 # The layouts in use: LSUI has input/ and GT/, UIEB raw-890/ and reference-890/, EUVP Paired/<subset>/trainA/ and
 # trainB/. Suffixes may differ between the two folders.
 
-NAMED = 5  # pictures without a partner; more are counted
+NAMED = 5  # pictures without a partner, or frames that cannot be read; more are counted
 
 Size = tuple[int, int]  # width, height
 

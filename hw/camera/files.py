@@ -376,6 +376,9 @@ def _photograph(row: dict[str, str], directory: Path, where: str) -> Photograph:
 
 # --- video ---
 
+FEW_UNREAD = 250  # frames in a row that cannot be decoded: where the file announces no more, they are its end
+MOST_UNREAD = 10_000  # the same where it does: a film of an hour of which minutes are left is not tried to its end
+
 
 def open_video(path: Path, upright: bool = False) -> VideoCamera:
     """Frames are as the sensor has them; `upright` turns them as the file says, for people who look at them.
@@ -394,7 +397,10 @@ def open_video(path: Path, upright: bool = False) -> VideoCamera:
 
 
 class VideoCamera:
-    """Each read is the next frame of the file, stamped with the file's own time, which begins at 0. No focus."""
+    """Each read is the next frame of the file that can be decoded, stamped with the file's own time, which begins at 0.
+
+    A frame's number counts those before it that cannot be decoded; `unread` has their numbers. No focus.
+    """
 
     def __init__(self, capture: cv2.VideoCapture, path: Path) -> None:
         self.size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
@@ -402,6 +408,7 @@ class VideoCamera:
         self.count = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)  # that the file announces; 0: it does not
         self.rate_hz = capture.get(cv2.CAP_PROP_FPS) or 30.0
         self.turn_deg = round(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360  # by which the file is to be turned
+        self.unread: list[int] = []  # so far, from 0; those after the last frame that can be decoded are not in it
         self._capture = capture
         self._path = path
         self._seq = 0
@@ -413,9 +420,13 @@ class VideoCamera:
         raise CameraError(f"{self._path}: the focus of a video cannot be set; use a camera or a stack: of photographs")
 
     def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
-        got, image = self._capture.read()
-        if not got:
+        most = min(max(self.count - self._seq, FEW_UNREAD), MOST_UNREAD)
+        tries = (self._capture.read() for _ in range(most))  # OpenCV says the same of a broken frame as of the end
+        failed, image = next(((n, image) for n, (got, image) in enumerate(tries) if got), (0, None))
+        if image is None:
             raise CameraGone(f"{self._path}: end of the video after {self._seq} frames")
+        self.unread += range(self._seq, self._seq + failed)
+        self._seq += failed
         t_ns = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)  # of the frame just read
         frame = _frame(t_ns, self._seq, np.asarray(image, np.uint8), roi)
         self._seq += 1

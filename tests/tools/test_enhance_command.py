@@ -15,7 +15,7 @@ from agent.perception.enhancement.enhance import WEIGHTS
 from agent.tools import enhance as enhance_source
 from agent.tools import evaluate_enhance as enhance_evaluate
 from agent.tools.enhance import pictures
-from hw.camera.files import VideoCamera
+from hw.camera.files import VideoCamera, open_video
 from replay.files.frames import CODECS
 
 NOISE = np.random.default_rng(1).integers(30, 200, (40, 60, 3), dtype=np.uint8)
@@ -260,6 +260,43 @@ def test_a_film_that_was_cut_off_is_named_with_how_far_it_came(tmp_path):
     cut, frames = walked(film)
     assert 10 < len(frames) < 25
     assert cut.problems == [f"{film}: ends after {len(frames)} of 40 frames; it was cut off, copy or convert it again"]
+
+
+def broken(path, numbers):
+    """The film, with so many of its frames overwritten."""
+    data = bytearray(path.read_bytes())
+    at = data.index(b"movi") + 4
+    for n in range(max(numbers) + 1):
+        (length,) = struct.unpack_from("<I", data, at + 4)
+        if n in numbers:
+            data[at + 8 : at + 8 + length] = bytes(length)
+        at += 8 + length + length % 2
+    path.write_bytes(data)
+    return path
+
+
+def test_a_frame_that_cannot_be_read_is_named_and_the_film_goes_on(tmp_path, monkeypatch):
+    film = broken(filmed(tmp_path / "film.avi", range(100)), {0, 50, 70, 71, 99})
+    found, frames = walked(film)
+    assert [frame.name for frame in frames] == [str(n) for n in range(99) if n not in {0, 50, 70, 71}]
+    assert frames[-1].t_s - frames[0].t_s == pytest.approx(97 / 30, abs=1e-3)
+    assert found.problems == [f"{film}: frames 0, 50, 70 to 71 cannot be read, 4 of 100; copy or convert it again"]
+    assert found.notes == [f"{film}: says that it has 100 frames, and ends after 99: some may be lost at its end"]
+    few = pictures(str(film), 51)
+    assert len(list(few.each)) == 49 and not few.notes
+    assert few.problems == [f"{film}: frames 0, 50 cannot be read, 2 of 51; copy or convert it again"]
+
+    def uncounted(*given):
+        camera = open_video(*given)
+        camera.count = 0
+        return camera
+
+    monkeypatch.setattr(enhance_source, "open_video", uncounted)  # as a raw stream of H.264
+    found, frames = walked(film)
+    assert len(frames) == 95 and found.problems[0].startswith(f"{film}: frames 0, 50, 70 to 71 cannot be read, 4 of 99")
+    assert found.notes == [
+        f"{film}: does not say how many frames it has: some may be lost after its 99; convert it to MP4"
+    ]
 
 
 def test_frames_that_do_not_change_are_noticed(tmp_path):
