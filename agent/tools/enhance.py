@@ -303,17 +303,25 @@ def make_folder(out: Path) -> None:
 
 
 def stills(found: Pictures, out: Path, render: Render, show: Progress) -> None:
-    """One PNG for each picture, with its name or number; two images of one stem keep their suffixes."""
+    """One PNG for each picture, with its name or number."""
     used: set[str] = set()
     for done, picture in enumerate(found.each, start=1):
-        name = f"{Path(picture.name).stem}.png" if found.kind == "images" else f"{int(picture.name):06d}.png"
-        name = f"{picture.name}.png" if name in used else name
-        used.add(name)
-        file = out / name
-        write_picture(file, render(picture))
+        stem = Path(picture.name).stem if found.kind == "images" else f"{int(picture.name):06d}"
+        write_picture(out / own_name(stem, picture.name, used), render(picture))
         show(done, found.total or done)
     if found.total:
         show(found.total, found.total)  # with those that were skipped
+
+
+def own_name(stem: str, whole: str, used: set[str]) -> str:
+    """stem.png; where another picture has that already, the whole name and .png."""
+    name = f"{stem}.png"
+    if name in used:
+        name = f"{whole}.png"
+    while name in used:
+        name = f"{name}.png"
+    used.add(name)
+    return name
 
 
 def enhanced_film(found: Pictures, file: Path, render: Render, show: Progress) -> None:

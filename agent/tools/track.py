@@ -31,7 +31,7 @@ from agent.perception.tracking.follow import (
     parse_box,
 )
 from agent.process.command import new_file, new_folder, plain_console, run_folder, with_bar
-from agent.tools.enhance import Picture, Pictures, pictures
+from agent.tools.enhance import Picture, Pictures, own_name, pictures
 from hw.camera.camera import Image
 from hw.camera.files import read_rows, write_picture
 from replay.files.frames import CODECS, film
@@ -86,13 +86,13 @@ def writer(out: Path | None) -> Iterator[Show]:
             out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigError(f"{out}: cannot be made: {error.strerror}; choose another place") from None
-        yield lambda image, name: _save(out, image, name)
+        used: set[str] = set()
+        yield lambda image, name: _save(out, image, name, used)
 
 
-def _save(folder: Path, image: Image, name: str) -> None:
+def _save(folder: Path, image: Image, name: str, used: set[str]) -> None:
     stem = Path(name).stem
-    path = folder / f"{stem.zfill(6) if stem.isdigit() else stem}.png"
-    write_picture(path, image)
+    write_picture(folder / own_name(stem.zfill(6) if stem.isdigit() else stem, name, used), image)
 
 
 # --- against marked boxes ---

@@ -12,7 +12,7 @@ from agent.core.config import ConfigError
 from agent.perception.tracking import follow
 from agent.perception.tracking.appearance import Box, Likeness
 from agent.perception.tracking.follow import LIMITS, Followed, Follower, load_box_tracker, model_files
-from agent.tools.track import HEADER, Asked, Truth, annotated, check_rows, parse_box, read_truth, run, score
+from agent.tools.track import HEADER, Asked, Truth, annotated, check_rows, parse_box, read_truth, run, score, writer
 from tests.perception.tracking.swimming import clip, overlap
 from tests.places import DATA
 
@@ -44,6 +44,18 @@ def test_a_folder(folder, tmp_path):
         assert t_s == "" and state == "followed" and float(score) > 0.5
         assert overlap(tuple(map(float, (x, y, w, h))), box) > 0.6, name
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"{k:06}.png" for k in range(6)]
+
+
+def test_pictures_whose_names_fall_together_are_all_written(tmp_path):
+    out = tmp_path / "out"
+    names = ["000007.png", "07.png", "7.jpg", "a.jpg", "a.png", "a.png.png"]
+    with writer(out) as show:
+        for k, name in enumerate(names):
+            show(np.full((4, 4, 3), k, np.uint8), name)
+    kept = {path.name: int(cv2.imread(str(path))[0, 0, 0]) for path in out.iterdir()}
+    assert kept == {
+        "000007.png": 0, "07.png.png": 1, "7.jpg.png": 2, "a.png": 3, "a.png.png": 4, "a.png.png.png": 5,
+    }  # fmt: skip
 
 
 def test_a_video_in_and_out(tmp_path):
