@@ -45,6 +45,7 @@ class Picture(NamedTuple):
     name: str  # of the file; of a video or a camera the number of the frame, from 0, those that cannot be read counted
     t_s: float | None  # from the first picture on; None for images
     image: Image  # (height, width, 3), blue green red
+    place: int  # in the source, from 0: pictures that cannot be read have theirs too
 
 
 class Pictures(NamedTuple):
@@ -78,7 +79,7 @@ def pictures(source: str, frames: int | None, of_camera: int | None = None, upri
         return Pictures("images", _images(paths, problems, upright), len(paths), None, problems, notes)
     if place.is_file() and is_picture(place):
         notes += [] if upright else said(turned([place]))
-        one = iter([Picture(place.name, None, read_picture(place, stretch=True, upright=upright))])
+        one = iter([Picture(place.name, None, read_picture(place, stretch=True, upright=upright), 0)])
         return Pictures("images", one, 1, None, problems, notes)
     most = frames or of_camera
     if place.is_file():
@@ -98,14 +99,14 @@ def said(line: str | None) -> list[str]:
 
 def _images(paths: list[Path], problems: list[str], upright: bool) -> Iterator[Picture]:
     read = 0
-    for path in paths:
+    for k, path in enumerate(paths):
         try:
             image = read_picture(path, stretch=True, upright=upright)  # each is looked at by itself
         except ConfigError as error:
             problems.append(str(error))
         else:
             read += 1
-            yield Picture(path.name, None, image)
+            yield Picture(path.name, None, image, k)
     if not read:
         raise ConfigError(f"not one of {len(paths)} pictures can be read: {problems[-1]}")
 
@@ -138,7 +139,7 @@ def _frames(
             notes.append(f"{path}: its frames have no times, so that t_s is left empty; convert it to MP4")
         for frame in itertools.chain([first], [] if second is None else [second], shots):
             stale.look(frame.image, frame.seq)
-            yield Picture(str(frame.seq), (frame.t_ns - first.t_ns) * 1e-9 if timed else None, frame.image)
+            yield Picture(str(frame.seq), (frame.t_ns - first.t_ns) * 1e-9 if timed else None, frame.image, frame.seq)
             last = frame.seq
     unread = [n for n in camera.unread if frames is None or n < frames]
     number = max([last, *unread]) + 1
@@ -212,7 +213,7 @@ def _shots(url: str, frames: int | None) -> Iterator[Picture]:
     with closing(open_camera(url, Path(), None)) as camera:
         for number, frame in enumerate(_read(camera, frames)):
             first_ns = frame.t_ns if first_ns is None else first_ns
-            yield Picture(str(number), (frame.t_ns - first_ns) * 1e-9, frame.image)
+            yield Picture(str(number), (frame.t_ns - first_ns) * 1e-9, frame.image, number)
 
 
 # --- `aucamp enhance` ---
