@@ -39,7 +39,7 @@ from replay.files.frames import CODECS, film
 # --- pictures with the box ---
 # Pictures with the box that was followed drawn in: a folder of them, or a video.
 
-RATE_HZ = 30.0  # of the annotated video
+RATE_HZ = 30.0  # of pictures of which nobody says it
 GREEN, AMBER, RED = (60, 220, 60), (40, 170, 250), (60, 60, 230)
 COLOURS: dict[State, tuple[int, int, int]] = {
     "followed": GREEN, "found again": GREEN, "ambiguous": AMBER, "lost": RED,
@@ -74,12 +74,13 @@ def check_out(out: Path) -> None:
 
 
 @contextmanager
-def writer(out: Path | None) -> Iterator[Show]:
-    """Where annotated pictures go: a video if `out` ends as one, else a folder. Raises ConfigError."""
+def writer(out: Path | None, rate_hz: float | None = None) -> Iterator[Show]:
+    """Where annotated pictures go: a video if `out` ends as one, else a folder. rate_hz: of the pictures, where
+    it is known. Raises ConfigError."""
     if out is None:
         yield lambda image, name: None
     elif out.suffix.lower() in CODECS:
-        with film(out, RATE_HZ) as made:
+        with film(out, rate_hz or RATE_HZ) as made:
             yield lambda image, name: made.add(image)
     else:
         try:
@@ -267,7 +268,7 @@ def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
     follower.start(first.image, drawn)
     found = found._replace(each=itertools.chain((first,), found.each))
     console = plain_console(stderr=True)
-    with writer(asked.out) as show:
+    with writer(asked.out, asked.rate_hz or found.rate_hz) as show:
         say(HEADER)
         said = with_bar(console, "following", lambda bar: follow(found, drawn, follower, show, say, bar))
     for text in (*found.notes, *found.problems):

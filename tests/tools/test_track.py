@@ -60,14 +60,26 @@ def test_pictures_whose_names_fall_together_are_all_written(tmp_path):
 
 def test_a_video_in_and_out(tmp_path):
     film, frames = tmp_path / "film.avi", list(clip(4))
-    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30, (480, 360))
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 12.5, (480, 360))
     for image, _ in frames:
         writer.write(image)
     writer.release()
     lines = []
     assert run(str(film), Asked(text(frames[0][1]), out=tmp_path / "out.avi"), lines.append)
     assert [line.split(",")[0] for line in lines[1:]] == ["0", "1", "2", "3"]
-    assert cv2.VideoCapture(str(tmp_path / "out.avi")).get(cv2.CAP_PROP_FRAME_COUNT) == 4
+    out = cv2.VideoCapture(str(tmp_path / "out.avi"))
+    assert (out.get(cv2.CAP_PROP_FRAME_COUNT), out.get(cv2.CAP_PROP_FPS)) == (4, 12.5)
+
+
+@pytest.mark.parametrize("name", ["out.mp4", "out.avi"])
+def test_a_film_of_odd_pictures_loses_neither_column_nor_row(tmp_path, name):
+    image = np.zeros((43, 61, 3), np.uint8)
+    image[32:, :], image[:, 48:] = 200, 200
+    with writer(tmp_path / name) as show:
+        show(image, "0")
+    _, seen = cv2.VideoCapture(str(tmp_path / name)).read()
+    assert seen.shape == (44, 62, 3)
+    assert np.abs(seen[:43, :61].astype(int) - image).max() < 60 and seen[43].min() > 150 and seen[:, 61].min() > 150
 
 
 @pytest.mark.parametrize("box", ["1,2,3", "a,b,c,d", "1,2,nan,4", ""])
