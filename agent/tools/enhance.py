@@ -347,9 +347,9 @@ Size = tuple[int, int]  # width, height
 def paired(raw: Path, reference: Path) -> tuple[list[tuple[Path, Path]], list[str]]:
     """Files of the two folders with the same name, and a line for each folder with names that the other lacks.
 
-    Raises ConfigError if there are no pairs.
+    Raises ConfigError if there are no pairs, and where a folder has two pictures of one name.
     """
-    ours, theirs = ({path.stem: path for path in picture_files(folder)} for folder in (raw, reference))
+    ours, theirs = _by_stem(raw), _by_stem(reference)
     pairs = [(path, theirs[stem]) for stem, path in ours.items() if stem in theirs]
     if not pairs:
         raise ConfigError(f"{raw} and {reference}: no two pictures of the same name; give folders that belong together")
@@ -360,6 +360,15 @@ def paired(raw: Path, reference: Path) -> tuple[list[tuple[Path, Path]], list[st
             more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
             alone.append(f"{folder}: without a partner in the other folder: {', '.join(names[:NAMED])}{more}")
     return pairs, alone
+
+
+def _by_stem(folder: Path) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for path in picture_files(folder):
+        if (other := found.setdefault(path.stem, path)) != path:
+            both = f"{other.name} and {path.name}"
+            raise ConfigError(f"{folder}: {both} have one name, and pictures pair up by it; leave one there")
+    return found
 
 
 def read_pair(raw: Path, reference: Path, size: Size | None) -> tuple[Image, Image]:

@@ -229,6 +229,9 @@ def test_evaluation_without_pairs(tmp_path):
         write(tmp_path / name / f"{name}.png")
     with pytest.raises(ConfigError, match="no two pictures of the same name"):
         enhance_evaluate.run(tmp_path / "raw", tmp_path / "reference", "classic", None, "own", Console(quiet=True))
+    write(tmp_path / "reference" / "raw.png"), write(tmp_path / "raw" / "raw.jpg")
+    with pytest.raises(ConfigError, match=r"raw: raw\.jpg and raw\.png have one name, .*; leave one there"):
+        enhance_evaluate.run(tmp_path / "raw", tmp_path / "reference", "classic", None, "own", Console(quiet=True))
 
 
 # --- films ---
