@@ -12,8 +12,8 @@ import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -181,16 +181,42 @@ def _decoded(path: Path, grey: bool, upright: bool) -> NDArray[Any]:
     if several(data):
         raise ConfigError(f"{path}: holds several pictures; save each as a file of its own, and give their folder")
     raw = None
-    with suppress(cv2.error, MemoryError):
-        how = (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_ANYDEPTH
-        how |= 0 if upright else cv2.IMREAD_IGNORE_ORIENTATION
-        raw = None if size is None else cv2.imdecode(np.frombuffer(data, np.uint8), how)
+    if size is not None:
+        with _quiet(), suppress(cv2.error, MemoryError):
+            raw = _pixels(np.frombuffer(data, np.uint8), grey, upright, kind)
     if raw is None:
         what = "" if kind is None or kind in PICTURES else f" (it is {kind})"
         raise ConfigError(f"{path}: not an image that OpenCV can read{what}; give {KINDS}")
     if not np.isfinite(raw).all():
         raise ConfigError(f"{path}: holds values that are not finite; convert it to 8 or 16 bits")
     return np.asarray(raw)
+
+
+def _pixels(data: NDArray[np.uint8], grey: bool, upright: bool, kind: str | None) -> NDArray[Any] | None:
+    how = cv2.IMREAD_ANYDEPTH | (0 if upright else cv2.IMREAD_IGNORE_ORIENTATION)
+    if kind == "TIFF":  # whose floating point OpenCV reads only with as many colours as the file has
+        raw = cv2.imdecode(data, how | cv2.IMREAD_ANYCOLOR)
+        if raw is not None and raw.dtype.kind == "f" and grey and raw.ndim == 3:
+            return np.asarray(raw @ np.array(LUMINANCE))
+        if raw is not None and raw.ndim == 2 and not grey:
+            return np.repeat(raw[:, :, None], 3, axis=2)
+        if raw is None or raw.ndim == (2 if grey else 3):
+            return raw
+    return cv2.imdecode(data, how | (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR))
+
+
+LUMINANCE = (0.114, 0.587, 0.299)  # of blue, green and red: ITU-R BT.601, as OpenCV has it
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """OpenCV writes nothing of what it cannot decode: whoever asked says it in one line."""
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)
 
 
 def write_picture(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
