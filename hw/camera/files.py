@@ -183,7 +183,7 @@ def _decoded(path: Path, grey: bool, upright: bool) -> NDArray[Any]:
     raw = None
     if size is not None:
         with _quiet(), suppress(cv2.error, MemoryError):
-            raw = _pixels(np.frombuffer(data, np.uint8), grey, upright, kind)
+            raw = _pixels(data, grey, upright, kind)
     if raw is None:
         what = "" if kind is None or kind in PICTURES else f" (it is {kind})"
         raise ConfigError(f"{path}: not an image that OpenCV can read{what}; give {KINDS}")
@@ -192,7 +192,8 @@ def _decoded(path: Path, grey: bool, upright: bool) -> NDArray[Any]:
     return np.asarray(raw)
 
 
-def _pixels(data: NDArray[np.uint8], grey: bool, upright: bool, kind: str | None) -> NDArray[Any] | None:
+def _pixels(file: bytes, grey: bool, upright: bool, kind: str | None) -> NDArray[Any] | None:
+    data = np.frombuffer(file, np.uint8)
     how = cv2.IMREAD_ANYDEPTH | (0 if upright else cv2.IMREAD_IGNORE_ORIENTATION)
     if kind == "TIFF":  # whose floating point OpenCV reads only with as many colours as the file has
         raw = cv2.imdecode(data, how | cv2.IMREAD_ANYCOLOR)
