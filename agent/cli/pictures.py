@@ -48,7 +48,7 @@ def track(
     out: Annotated[Path | None, typer.Option(help="Pictures with the box: new folder, or .mp4, .avi.")] = None,
     truth: Annotated[Path | None, typer.Option(help="CSV of boxes that are right: says how well it follows.")] = None,
     rate: Annotated[
-        float | None, typer.Option(min=0.1, help="Pictures a second, for --truth; the video's own, or 30.")
+        float | None, typer.Option(min=0.1, help="Pictures a second, for --truth and a film; the video's own, or 30.")
     ] = None,
     keep: Annotated[
         bool, typer.Option("--keep/--strict", help="Rather follow what it is no longer than call lost what is there.")

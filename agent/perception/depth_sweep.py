@@ -137,6 +137,8 @@ def sweep(
     CameraError for a source without focus, and for frames that cannot be believed.
     """
     width, height = camera.size
+    if min(width, height) < MIN_BLOCK_PX:
+        raise ConfigError(f"the picture is {width}x{height}, too small: give pictures of {MIN_BLOCK_PX} px or more")
     if not MIN_BLOCK_PX <= block <= min(width, height):
         raise ConfigError(
             f"--block {block}: the picture is {width}x{height}; choose {MIN_BLOCK_PX} to {min(width, height)}"

@@ -42,9 +42,10 @@ WHOLE = 0.98  # of the frames that a video announces: files without an index sta
 
 
 class Picture(NamedTuple):
-    name: str  # of the file; of a video or a camera the number of the frame, from 0
+    name: str  # of the file; of a video or a camera the number of the frame, from 0, those that cannot be read counted
     t_s: float | None  # from the first picture on; None for images
     image: Image  # (height, width, 3), blue green red
+    place: int  # in the source, from 0: pictures that cannot be read have theirs too
 
 
 class Pictures(NamedTuple):
@@ -57,7 +58,7 @@ class Pictures(NamedTuple):
     kind: Literal["images", "video", "camera"]
     each: Iterator[Picture]
     total: int | None  # None where only the end of the source tells
-    rate_hz: float | None  # of a video
+    rate_hz: float | None  # of a film
     problems: list[str]
     notes: list[str]
 
@@ -65,8 +66,8 @@ class Pictures(NamedTuple):
 def pictures(source: str, frames: int | None, of_camera: int | None = None, upright: bool = False) -> Pictures:
     """`frames` ends the walk early. A camera never ends: it needs `frames`, or `of_camera` in its place.
 
-    upright: images are turned as EXIF says; else pixels are the sensor's. Raises ConfigError, and CameraError as the
-    camera does; the walk raises where not one picture can be read.
+    upright: images are turned as EXIF says and videos as their files say; else pixels are the sensor's. Raises
+    ConfigError, and CameraError as the camera does; the walk raises where not one picture can be read.
     """
     place = Path(source)
     problems, notes = list[str](), list[str]()
@@ -78,17 +79,16 @@ def pictures(source: str, frames: int | None, of_camera: int | None = None, upri
         return Pictures("images", _images(paths, problems, upright), len(paths), None, problems, notes)
     if place.is_file() and is_picture(place):
         notes += [] if upright else said(turned([place]))
-        one = iter([Picture(place.name, None, read_picture(place, stretch=True, upright=upright))])
+        one = iter([Picture(place.name, None, read_picture(place, stretch=True, upright=upright), 0)])
         return Pictures("images", one, 1, None, problems, notes)
+    most = frames or of_camera
     if place.is_file():
-        film_camera = open_video(place)
-        count = min(frames or film_camera.count, film_camera.count)
-        each = _film(film_camera, place, frames, count, problems, notes)
-        return Pictures("video", each, count or None, film_camera.rate_hz, problems, notes)
+        return _film(place, "video", frames, upright)
+    if source.startswith("video:") and source != "video:":
+        return _film(Path(source.removeprefix("video:")), "camera", most, upright)
     if ":" not in source:
         raise ConfigError(f"{source}: no such file or folder; give one, or the address of a camera (v4l2:/dev/video0)")
-    most = frames or of_camera
-    if most is None and not source.startswith("video:"):
+    if most is None:
         raise ConfigError(f"{source}: a camera never ends; say how many frames with --frames")
     return Pictures("camera", _shots(source, most), most, None, problems, notes)
 
@@ -99,25 +99,36 @@ def said(line: str | None) -> list[str]:
 
 def _images(paths: list[Path], problems: list[str], upright: bool) -> Iterator[Picture]:
     read = 0
-    for path in paths:
+    for k, path in enumerate(paths):
         try:
             image = read_picture(path, stretch=True, upright=upright)  # each is looked at by itself
         except ConfigError as error:
             problems.append(str(error))
         else:
             read += 1
-            yield Picture(path.name, None, image)
+            yield Picture(path.name, None, image, k)
     if not read:
         raise ConfigError(f"not one of {len(paths)} pictures can be read: {problems[-1]}")
 
 
-def _film(
+def _film(path: Path, kind: Literal["video", "camera"], frames: int | None, upright: bool) -> Pictures:
+    camera = open_video(path, upright)
+    count = min(frames or camera.count, camera.count)
+    problems, notes = list[str](), list[str]()
+    if camera.turn_deg and not upright:
+        how = "which is not followed: pixels are counted as the sensor has them"
+        notes.append(f"{path}: says that it is to be turned by {camera.turn_deg} degrees, {how}")
+    each = _frames(camera, path, frames, count, problems, notes)
+    return Pictures(kind, each, count or None, camera.rate_hz, problems, notes)
+
+
+def _frames(
     camera: VideoCamera, path: Path, frames: int | None, count: int, problems: list[str], notes: list[str]
 ) -> Iterator[Picture]:
     """count: how many there should be; 0: nobody knows."""
     stale = Stale()
     with closing(camera):
-        shots = _read(camera, frames)
+        shots = itertools.takewhile(lambda frame: frames is None or frame.seq < frames, _read(camera, frames))
         first = next(shots, None)
         if first is None:
             raise ConfigError(f"{path}: not one frame can be read; convert it to H.264 in MP4")
@@ -126,18 +137,41 @@ def _film(
         timed = second is None or second.t_ns > first.t_ns
         if not timed:
             notes.append(f"{path}: its frames have no times, so that t_s is left empty; convert it to MP4")
-        number = 0
         for frame in itertools.chain([first], [] if second is None else [second], shots):
-            stale.look(frame.image)
-            yield Picture(str(number), (frame.t_ns - first.t_ns) * 1e-9 if timed else None, frame.image)
-            number += 1
+            stale.look(frame.image, frame.seq)
+            yield Picture(str(frame.seq), (frame.t_ns - first.t_ns) * 1e-9 if timed else None, frame.image, frame.seq)
+            last = frame.seq
+    unread = [n for n in camera.unread if frames is None or n < frames]
+    number = max([last, *unread]) + 1
+    if unread:
+        which = f"{path}: {_numbered(unread)} cannot be read"
+        problems.append(f"{which}, {len(unread)} of {count or number}; copy or convert it again")
     if number < WHOLE * count:
         problems.append(f"{path}: ends after {number} of {count} frames; it was cut off, copy or convert it again")
-    if number > STALE_FRAMES and stale.runs() == [(0, number - 1)]:
+    elif number < count:
+        notes.append(f"{path}: says that it has {count} frames, and ends after {number}: some may be lost at its end")
+    elif not count and (frames is None or number < frames):
+        notes.append(
+            f"{path}: does not say how many frames it has: some may be lost after its {number}; convert it to MP4"
+        )
+    if stale.runs() == [(first.seq, last)]:
         convert = "if it is interlaced, convert it first: ffmpeg -i FILM -vf yadif NEW.mp4"
         problems.append(f"{path}: all {number} frames are the same picture; {convert}")
     else:
         notes += [f"{path}: frames {begin} to {end} are the same picture" for begin, end in stale.runs()]
+
+
+def _numbered(numbers: Sequence[int]) -> str:
+    """Rising numbers of frames, those in a row together."""
+    runs: list[list[int]] = []
+    for n in numbers:
+        if runs and n == runs[-1][1] + 1:
+            runs[-1][1] = n
+        else:
+            runs.append([n, n])
+    shown = [f"{begin}" if begin == end else f"{begin} to {end}" for begin, end in runs[:NAMED]]
+    more = f" and {sum(end - begin + 1 for begin, end in runs[NAMED:])} more" if len(runs) > NAMED else ""
+    return f"frame{'s' if len(numbers) > 1 else ''} {', '.join(shown)}{more}"
 
 
 STALE_FRAMES = 10  # in a row: a camera that stood still has noise, and one that hung has none
@@ -148,18 +182,18 @@ class Stale:
 
     def __init__(self) -> None:
         self._last: Image | None = None
-        self._begin = self._number = 0  # of the run that goes on, and of the next frame
+        self._begin = self._end = 0  # of the run that goes on
         self._ended: list[tuple[int, int]] = []
 
-    def look(self, image: Image) -> None:
-        """The next frame."""
-        if self._last is not None and not np.array_equal(self._last, image):
-            self._ended, self._begin = self.runs(), self._number
-        self._last, self._number = image, self._number + 1
+    def look(self, image: Image, number: int) -> None:
+        """The next frame, and its number."""
+        if self._last is None or not np.array_equal(self._last, image):
+            self._ended, self._begin = self.runs(), number
+        self._last, self._end = image, number
 
     def runs(self) -> list[tuple[int, int]]:
         """First and last frame of each run longer than STALE_FRAMES."""
-        now = self._begin, self._number - 1
+        now = self._begin, self._end
         return [*self._ended, now] if now[1] - now[0] >= STALE_FRAMES else self._ended
 
 
@@ -179,7 +213,7 @@ def _shots(url: str, frames: int | None) -> Iterator[Picture]:
     with closing(open_camera(url, Path(), None)) as camera:
         for number, frame in enumerate(_read(camera, frames)):
             first_ns = frame.t_ns if first_ns is None else first_ns
-            yield Picture(str(number), (frame.t_ns - first_ns) * 1e-9, frame.image)
+            yield Picture(str(number), (frame.t_ns - first_ns) * 1e-9, frame.image, number)
 
 
 # --- `aucamp enhance` ---
@@ -270,17 +304,25 @@ def make_folder(out: Path) -> None:
 
 
 def stills(found: Pictures, out: Path, render: Render, show: Progress) -> None:
-    """One PNG for each picture, with its name or number; two images of one stem keep their suffixes."""
+    """One PNG for each picture, with its name or number."""
     used: set[str] = set()
     for done, picture in enumerate(found.each, start=1):
-        name = f"{Path(picture.name).stem}.png" if found.kind == "images" else f"{int(picture.name):06d}.png"
-        name = f"{picture.name}.png" if name in used else name
-        used.add(name)
-        file = out / name
-        write_picture(file, render(picture))
+        stem = Path(picture.name).stem if found.kind == "images" else f"{int(picture.name):06d}"
+        write_picture(out / own_name(stem, picture.name, used), render(picture))
         show(done, found.total or done)
     if found.total:
         show(found.total, found.total)  # with those that were skipped
+
+
+def own_name(stem: str, whole: str, used: set[str]) -> str:
+    """stem.png; where another picture has that already, the whole name and .png."""
+    name = f"{stem}.png"
+    if name in used:
+        name = f"{whole}.png"
+    while name in used:
+        name = f"{name}.png"
+    used.add(name)
+    return name
 
 
 def enhanced_film(found: Pictures, file: Path, render: Render, show: Progress) -> None:
@@ -297,7 +339,7 @@ def enhanced_film(found: Pictures, file: Path, render: Render, show: Progress) -
 # The layouts in use: LSUI has input/ and GT/, UIEB raw-890/ and reference-890/, EUVP Paired/<subset>/trainA/ and
 # trainB/. Suffixes may differ between the two folders.
 
-NAMED = 5  # pictures without a partner; more are counted
+NAMED = 5  # pictures without a partner, or frames that cannot be read; more are counted
 
 Size = tuple[int, int]  # width, height
 
@@ -305,9 +347,9 @@ Size = tuple[int, int]  # width, height
 def paired(raw: Path, reference: Path) -> tuple[list[tuple[Path, Path]], list[str]]:
     """Files of the two folders with the same name, and a line for each folder with names that the other lacks.
 
-    Raises ConfigError if there are no pairs.
+    Raises ConfigError if there are no pairs, and where a folder has two pictures of one name.
     """
-    ours, theirs = ({path.stem: path for path in picture_files(folder)} for folder in (raw, reference))
+    ours, theirs = _by_stem(raw), _by_stem(reference)
     pairs = [(path, theirs[stem]) for stem, path in ours.items() if stem in theirs]
     if not pairs:
         raise ConfigError(f"{raw} and {reference}: no two pictures of the same name; give folders that belong together")
@@ -318,6 +360,15 @@ def paired(raw: Path, reference: Path) -> tuple[list[tuple[Path, Path]], list[st
             more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
             alone.append(f"{folder}: without a partner in the other folder: {', '.join(names[:NAMED])}{more}")
     return pairs, alone
+
+
+def _by_stem(folder: Path) -> dict[str, Path]:
+    found: dict[str, Path] = {}
+    for path in picture_files(folder):
+        if (other := found.setdefault(path.stem, path)) != path:
+            both = f"{other.name} and {path.name}"
+            raise ConfigError(f"{folder}: {both} have one name, and pictures pair up by it; leave one there")
+    return found
 
 
 def read_pair(raw: Path, reference: Path, size: Size | None) -> tuple[Image, Image]:

@@ -147,8 +147,7 @@ def filmed(source: str, calibration: Path, lens: int | None, most: int | None, s
     fit = at_lens_position(camera.camera, lens)
     looked_at, each = 0, []
     for picture in found.each:
-        if not looked_at:
-            check_size(picture.image, camera.camera, calibration)
+        check_size(picture.image, camera.camera, calibration)
         looked_at += 1
         each.append(SurveyFrame(fit.f_px, fit.width_px, tuple(one.seen for one in find_tags(picture.image, fit))))
         show(looked_at, found.total or looked_at)

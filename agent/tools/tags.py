@@ -59,7 +59,7 @@ def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
         check_size(first.image, camera, asked.calibration)
     found = found._replace(each=itertools.chain((first,), found.each))
     console = plain_console(stderr=True)
-    with writer(asked.out) as show:
+    with writer(asked.out, found.rate_hz) as show:
         say(HEADER)
 
         def walk(bar: Callable[[int, int], None]) -> Told:

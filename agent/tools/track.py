@@ -31,7 +31,7 @@ from agent.perception.tracking.follow import (
     parse_box,
 )
 from agent.process.command import new_file, new_folder, plain_console, run_folder, with_bar
-from agent.tools.enhance import Picture, Pictures, pictures
+from agent.tools.enhance import Picture, Pictures, own_name, pictures
 from hw.camera.camera import Image
 from hw.camera.files import read_rows, write_picture
 from replay.files.frames import CODECS, film
@@ -39,7 +39,7 @@ from replay.files.frames import CODECS, film
 # --- pictures with the box ---
 # Pictures with the box that was followed drawn in: a folder of them, or a video.
 
-RATE_HZ = 30.0  # of the annotated video
+RATE_HZ = 30.0  # of pictures of which nobody says it
 GREEN, AMBER, RED = (60, 220, 60), (40, 170, 250), (60, 60, 230)
 COLOURS: dict[State, tuple[int, int, int]] = {
     "followed": GREEN, "found again": GREEN, "ambiguous": AMBER, "lost": RED,
@@ -74,25 +74,26 @@ def check_out(out: Path) -> None:
 
 
 @contextmanager
-def writer(out: Path | None) -> Iterator[Show]:
-    """Where annotated pictures go: a video if `out` ends as one, else a folder. Raises ConfigError."""
+def writer(out: Path | None, rate_hz: float | None = None) -> Iterator[Show]:
+    """Where annotated pictures go: a video if `out` ends as one, else a folder. rate_hz: of the pictures, where
+    it is known. Raises ConfigError."""
     if out is None:
         yield lambda image, name: None
     elif out.suffix.lower() in CODECS:
-        with film(out, RATE_HZ) as made:
+        with film(out, rate_hz or RATE_HZ) as made:
             yield lambda image, name: made.add(image)
     else:
         try:
             out.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise ConfigError(f"{out}: cannot be made: {error.strerror}; choose another place") from None
-        yield lambda image, name: _save(out, image, name)
+        used: set[str] = set()
+        yield lambda image, name: _save(out, image, name, used)
 
 
-def _save(folder: Path, image: Image, name: str) -> None:
+def _save(folder: Path, image: Image, name: str, used: set[str]) -> None:
     stem = Path(name).stem
-    path = folder / f"{stem.zfill(6) if stem.isdigit() else stem}.png"
-    write_picture(path, image)
+    write_picture(folder / own_name(stem.zfill(6) if stem.isdigit() else stem, name, used), image)
 
 
 # --- against marked boxes ---
@@ -146,11 +147,13 @@ def read_truth(path: Path) -> list[Truth]:
     return sorted(truth, key=lambda row: row.frame)
 
 
-def first_box(truth: Sequence[Truth]) -> Box:
-    """Of frame 0. Raises ConfigError where none is marked there."""
-    if truth[0].frame != 0 or truth[0].box is None:
-        raise ConfigError("--truth: the thing is not marked in frame 0; mark it there, or draw it with --box X,Y,W,H")
-    return truth[0].box
+def first_box(truth: Sequence[Truth], place: int) -> Box:
+    """Of the frame at this place, the first that can be read. Raises ConfigError where none is marked there."""
+    box = next((row.box for row in truth if row.frame == place), None)
+    if box is None:
+        what = f"--truth: the thing is not marked in frame {place}{', the first that can be read' if place else ''}"
+        raise ConfigError(f"{what}; mark it there, or draw it with --box X,Y,W,H")
+    return box
 
 
 def check_rows(truth: Sequence[Truth], pictures: int) -> None:
@@ -172,14 +175,14 @@ def _row(path: Path, number: int, row: dict[str, str]) -> Truth:
     return Truth(frame, box, count != 0)
 
 
-def score(truth: Iterable[Truth], said: Sequence[Followed], rate_hz: float) -> Score:
-    """truth: in the order of the frames. said: of each frame from 0 on."""
+def score(truth: Iterable[Truth], said: Mapping[int, Followed], rate_hz: float) -> Score:
+    """truth: in the order of the frames. said: of each frame that could be read; others are not scored."""
     overlaps: list[float] = []  # where it is there and followed
     present, late, early = list[bool](), list[bool](), list[bool]()  # whether it was said to be followed
     went: int | None = None  # the frame in which it did
     for row in truth:
         went = None if row.box else row.frame if went is None else went
-        if not row.counted:
+        if not row.counted or row.frame not in said:
             continue
         followed = said[row.frame].state in FOLLOWED
         if row.box:
@@ -252,28 +255,34 @@ def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
     truth = () if asked.truth is None else read_truth(asked.truth)
     if asked.box is None and not truth:
         raise ConfigError("track: say what to follow, with --box X,Y,W,H or with --truth FILE")
-    drawn = first_box(truth) if asked.box is None else parse_box(asked.box)
+    drawn = None if asked.box is None else parse_box(asked.box)
     name = "keep" if asked.keep else "strict"
     follower = Follower(load_box_tracker(asked.nanotrack), LIMITS[name])
     if asked.out is not None:
         check_out(asked.out)
     found = pictures(source, asked.frames)
-    if found.kind == "images" and asked.frames is None:
-        check_rows(truth, found.total or 0)
     first = next(found.each)  # there is one, or the walk has said why not
+    drawn = first_box(truth, first.place) if drawn is None else drawn
+    if found.total is not None and asked.frames is None:
+        check_rows(truth, found.total)
     follower.start(first.image, drawn)
     found = found._replace(each=itertools.chain((first,), found.each))
     console = plain_console(stderr=True)
-    with writer(asked.out) as show:
+    with writer(asked.out, asked.rate_hz or found.rate_hz) as show:
         say(HEADER)
         said = with_bar(console, "following", lambda bar: follow(found, drawn, follower, show, say, bar))
     for text in (*found.notes, *found.problems):
         console.print(text, highlight=False)
+    last = max(said)
     if not truth:
-        return said[-1].state in FOLLOWED and not found.problems
-    if asked.frames is None:
-        check_rows(truth, len(said))
-    rate_hz, counted = asked.rate_hz or found.rate_hz or RATE_HZ, [row for row in truth if row.frame < len(said)]
+        return said[last].state in FOLLOWED and not found.problems
+    if asked.frames is None and found.total is None:
+        check_rows(truth, last + 1)
+    rate_hz = asked.rate_hz or found.rate_hz or RATE_HZ
+    counted = [row for row in truth if row.frame < (asked.frames or math.inf)]
+    unread = sum(row.frame not in said for row in counted)
+    if unread:
+        console.print(f"--truth: {unread} of {len(counted)} marked frames could not be read and are not scored")
     scores = {name: score(counted, said, rate_hz)}
     path = result_file(asked)
     write_score(scores[name], path)
@@ -285,14 +294,12 @@ def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
     return not found.problems
 
 
-def _again(source: str, asked: Asked, box: Box, limits: Limits) -> list[Followed]:
+def _again(source: str, asked: Asked, box: Box, limits: Limits) -> dict[int, Followed]:
     """The same pictures by other limits."""
-    follower, images = (
-        Follower(load_box_tracker(asked.nanotrack), limits),
-        (p.image for p in pictures(source, asked.frames).each),
-    )
-    follower.start(next(images), box)
-    return [Followed(box, 1.0, "followed"), *map(follower.look, images)]
+    follower, each = Follower(load_box_tracker(asked.nanotrack), limits), pictures(source, asked.frames).each
+    first = next(each)
+    follower.start(first.image, box)
+    return {first.place: Followed(box, 1.0, "followed")} | {one.place: follower.look(one.image) for one in each}
 
 
 def follow(
@@ -302,18 +309,19 @@ def follow(
     show: Show,
     say: Callable[[str], None],
     progress: Callable[[int, int], None],
-) -> list[Followed]:
-    """What is said of each picture. `follower` has been started on the first one, with this box."""
-    size, said = None, [Followed(box, 1.0, "followed")]
+) -> dict[int, Followed]:
+    """What is said of each picture, by its place. `follower` has been started on the first one, with this box."""
+    size, said = None, dict[int, Followed]()
     for k, picture in enumerate(found.each):
         if size is None:
-            size = picture.image.shape
+            size, now = picture.image.shape, Followed(box, 1.0, "followed")
         elif picture.image.shape != size:
             raise ConfigError(f"{picture.name}: not of the size of the first picture; give pictures of one size")
         else:
-            said.append(follower.look(picture.image))
-        say(line(picture, said[-1]))
-        show(annotated(picture.image, said[-1]), picture.name)
+            now = follower.look(picture.image)
+        said[picture.place] = now
+        say(line(picture, now))
+        show(annotated(picture.image, now), picture.name)
         progress(k + 1, found.total or k + 2)
     return said
 

@@ -12,8 +12,8 @@ import itertools
 import math
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
-from contextlib import suppress
+from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -181,16 +181,43 @@ def _decoded(path: Path, grey: bool, upright: bool) -> NDArray[Any]:
     if several(data):
         raise ConfigError(f"{path}: holds several pictures; save each as a file of its own, and give their folder")
     raw = None
-    with suppress(cv2.error, MemoryError):
-        how = (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR) | cv2.IMREAD_ANYDEPTH
-        how |= 0 if upright else cv2.IMREAD_IGNORE_ORIENTATION
-        raw = None if size is None else cv2.imdecode(np.frombuffer(data, np.uint8), how)
+    if size is not None:
+        with _quiet(), suppress(cv2.error, MemoryError):
+            raw = _pixels(data, grey, upright, kind)
     if raw is None:
         what = "" if kind is None or kind in PICTURES else f" (it is {kind})"
         raise ConfigError(f"{path}: not an image that OpenCV can read{what}; give {KINDS}")
     if not np.isfinite(raw).all():
         raise ConfigError(f"{path}: holds values that are not finite; convert it to 8 or 16 bits")
     return np.asarray(raw)
+
+
+def _pixels(file: bytes, grey: bool, upright: bool, kind: str | None) -> NDArray[Any] | None:
+    data = np.frombuffer(file, np.uint8)
+    how = cv2.IMREAD_ANYDEPTH | (0 if upright else cv2.IMREAD_IGNORE_ORIENTATION)
+    if kind == "TIFF":  # whose floating point OpenCV reads only with as many colours as the file has
+        raw = cv2.imdecode(data, how | cv2.IMREAD_ANYCOLOR)
+        if raw is not None and raw.dtype.kind == "f" and grey and raw.ndim == 3:
+            return np.asarray(raw @ np.array(LUMINANCE))
+        if raw is not None and raw.ndim == 2 and not grey:
+            return np.repeat(raw[:, :, None], 3, axis=2)
+        if raw is None or raw.ndim == (2 if grey else 3):
+            return raw
+    return cv2.imdecode(data, how | (cv2.IMREAD_GRAYSCALE if grey else cv2.IMREAD_COLOR))
+
+
+LUMINANCE = (0.114, 0.587, 0.299)  # of blue, green and red: ITU-R BT.601, as OpenCV has it
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """OpenCV writes nothing of what it cannot decode: whoever asked says it in one line."""
+    level = cv2.utils.logging.getLogLevel()
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    try:
+        yield
+    finally:
+        cv2.utils.logging.setLogLevel(level)
 
 
 def write_picture(path: Path, image: NDArray[np.uint8] | NDArray[np.uint16]) -> None:
@@ -376,9 +403,15 @@ def _photograph(row: dict[str, str], directory: Path, where: str) -> Photograph:
 
 # --- video ---
 
+FEW_UNREAD = 250  # frames in a row that cannot be decoded: where the file announces no more, they are its end
+MOST_UNREAD = 10_000  # the same where it does: a film of an hour of which minutes are left is not tried to its end
 
-def open_video(path: Path) -> VideoCamera:
-    """Raises CameraError if OpenCV cannot play the file."""
+
+def open_video(path: Path, upright: bool = False) -> VideoCamera:
+    """Frames are as the sensor has them; `upright` turns them as the file says, for people who look at them.
+
+    Raises CameraError if OpenCV cannot play the file.
+    """
     if not path.is_file():
         raise CameraError(f"{path}: no such file; give the path of a video")
     capture = cv2.VideoCapture(str(path))
@@ -386,17 +419,23 @@ def open_video(path: Path) -> VideoCamera:
         kind = _kind(path)
         what = f" (it is {kind})" if kind else ""
         raise CameraError(f"{path}: not a video that OpenCV can play{what}; convert it to H.264 in MP4")
+    capture.set(cv2.CAP_PROP_ORIENTATION_AUTO, float(upright))  # OpenCV turns them by default
     return VideoCamera(capture, path)
 
 
 class VideoCamera:
-    """Each read is the next frame of the file, stamped with the file's own time, which begins at 0. No focus."""
+    """Each read is the next frame of the file that can be decoded, stamped with the file's own time, which begins at 0.
+
+    A frame's number counts those before it that cannot be decoded; `unread` has their numbers. No focus.
+    """
 
     def __init__(self, capture: cv2.VideoCapture, path: Path) -> None:
         self.size = (int(capture.get(cv2.CAP_PROP_FRAME_WIDTH)), int(capture.get(cv2.CAP_PROP_FRAME_HEIGHT)))
         self.stamp: Stamp = "exposure-start"
         self.count = max(int(capture.get(cv2.CAP_PROP_FRAME_COUNT)), 0)  # that the file announces; 0: it does not
         self.rate_hz = capture.get(cv2.CAP_PROP_FPS) or 30.0
+        self.turn_deg = round(capture.get(cv2.CAP_PROP_ORIENTATION_META)) % 360  # by which the file is to be turned
+        self.unread: list[int] = []  # so far, from 0; those after the last frame that can be decoded are not in it
         self._capture = capture
         self._path = path
         self._seq = 0
@@ -408,9 +447,13 @@ class VideoCamera:
         raise CameraError(f"{self._path}: the focus of a video cannot be set; use a camera or a stack: of photographs")
 
     def read(self, roi: Roi | None = None, settle_s: float = 0.0, timeout_s: float = PATIENCE_S) -> Frame:
-        got, image = self._capture.read()
-        if not got:
+        most = min(max(self.count - self._seq, FEW_UNREAD), MOST_UNREAD)
+        tries = (self._capture.read() for _ in range(most))  # OpenCV says the same of a broken frame as of the end
+        failed, image = next(((n, image) for n, (got, image) in enumerate(tries) if got), (0, None))
+        if image is None:
             raise CameraGone(f"{self._path}: end of the video after {self._seq} frames")
+        self.unread += range(self._seq, self._seq + failed)
+        self._seq += failed
         t_ns = round(self._capture.get(cv2.CAP_PROP_POS_MSEC) * 1e6)  # of the frame just read
         frame = _frame(t_ns, self._seq, np.asarray(image, np.uint8), roi)
         self._seq += 1

@@ -199,7 +199,10 @@ MARGIN = bytes(4096)  # that has to fit on the disk behind a film: else its own 
 
 
 class Film:
-    """Frames of one size, the first one's. The library that writes them keeps to itself what goes wrong."""
+    """Frames of one size, the first one's; an odd side is one longer in the film, by its last column or row again.
+
+    The library that writes them cuts odd sides, and keeps to itself what goes wrong.
+    """
 
     def __init__(self, path: Path, rate_hz: float) -> None:
         self._path, self._rate_hz = path, rate_hz
@@ -212,12 +215,13 @@ class Film:
         if self._writer is None:
             self._path.open("ab").close()  # says why, where it cannot be
             codec = cv2.VideoWriter.fourcc(*CODECS[self._path.suffix.lower()])
-            self._writer, self._size = cv2.VideoWriter(str(self._path), codec, self._rate_hz, size), size
+            even = size[0] + size[0] % 2, size[1] + size[1] % 2
+            self._writer, self._size = cv2.VideoWriter(str(self._path), codec, self._rate_hz, even), size
             if not self._writer.isOpened():
                 raise OSError(errno.EIO, f"no film of {size[0]} x {size[1]} pixels can be written", str(self._path))
         if size != self._size:
             raise ValueError(f"a frame of {size} pixels in a film of {self._size}")
-        self._writer.write(np.ascontiguousarray(image))
+        self._writer.write(cv2.copyMakeBorder(image, 0, size[1] % 2, 0, size[0] % 2, cv2.BORDER_REPLICATE))
         self._count += 1
 
     def finish(self) -> None:

@@ -65,6 +65,7 @@ FUZZED: dict[str, tuple[str, ...]] = {
             )
         ),
         "hw.camera.files:_decoded",
+        "hw.camera.files:_pixels",
     ),
     "pth": ("agent.perception.enhancement.lu2net:_tensors",),
     "pth.pickle": ("agent.perception.enhancement.lu2net:_Reader.persistent_load",),

@@ -65,6 +65,10 @@ def test_floating_point_is_white_at_one(tmp_path):
     cv2.imwrite(str(path), np.array([[-0.5, 0.0, 0.5, 1.0, 2.0]], np.float32))
     assert read_picture(path, grey=True)[0].tolist() == [0, 0, 128, 255, 255]
     assert read_picture(path, grey=True, stretch=True)[0].tolist() == [0, 0, 64, 128, 255]
+    assert read_picture(path)[0].tolist() == [[level] * 3 for level in (0, 0, 128, 255, 255)]
+    cv2.imwrite(str(path), np.array([[[0.5, 0.5, 0.5], [1.0, 0.0, 0.0], [0.0, 1.0, 2.0]]], np.float32))
+    assert read_picture(path)[0].tolist() == [[128, 128, 128], [255, 0, 0], [0, 255, 255]]
+    assert read_picture(path, grey=True)[0].tolist() == [128, 29, 255]
     cv2.imwrite(str(path), np.array([[0.0, np.nan]], np.float32))
     with pytest.raises(ConfigError, match=r"a\.tiff: holds values that are not finite"):
         read_picture(path, grey=True)

@@ -46,6 +46,11 @@ def test_the_grid_grows_with_the_picture():
     assert spread[0] < 0.7 * spread[1]
     with pytest.raises(ConfigError, match=r"growth 0\.5"):
         sweep(lens, 50, quiet, 0.5)
+    with pytest.raises(ConfigError, match=r"--block 400: the picture is 300x300; choose 8 to 300"):
+        sweep(lens, 400, quiet)
+    lens.size = (1, 1)
+    with pytest.raises(ConfigError, match=r"the picture is 1x1, too small: give pictures of 8 px or more"):
+        sweep(lens, 8, quiet)
 
 
 def test_growth_goes_by_lens_positions_not_by_frames():

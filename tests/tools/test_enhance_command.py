@@ -1,6 +1,7 @@
 """`aucamp enhance`, with the classic way: what it reads, writes and refuses does not depend on the network."""
 
 import hashlib
+import struct
 import sys
 
 import cv2
@@ -14,7 +15,8 @@ from agent.perception.enhancement.enhance import WEIGHTS
 from agent.tools import enhance as enhance_source
 from agent.tools import evaluate_enhance as enhance_evaluate
 from agent.tools.enhance import pictures
-from hw.camera.files import VideoCamera
+from hw.camera.files import VideoCamera, open_video
+from replay.files.frames import CODECS
 
 NOISE = np.random.default_rng(1).integers(30, 200, (40, 60, 3), dtype=np.uint8)
 PICTURE = np.asarray(NOISE * [0.9, 0.8, 0.3], np.uint8)  # as under water: red reaches not far
@@ -227,6 +229,9 @@ def test_evaluation_without_pairs(tmp_path):
         write(tmp_path / name / f"{name}.png")
     with pytest.raises(ConfigError, match="no two pictures of the same name"):
         enhance_evaluate.run(tmp_path / "raw", tmp_path / "reference", "classic", None, "own", Console(quiet=True))
+    write(tmp_path / "reference" / "raw.png"), write(tmp_path / "raw" / "raw.jpg")
+    with pytest.raises(ConfigError, match=r"raw: raw\.jpg and raw\.png have one name, .*; leave one there"):
+        enhance_evaluate.run(tmp_path / "raw", tmp_path / "reference", "classic", None, "own", Console(quiet=True))
 
 
 # --- films ---
@@ -236,7 +241,7 @@ SMOOTH = cv2.GaussianBlur(np.random.default_rng(1).integers(0, 256, (96, 128, 3)
 
 def filmed(path, shifts):
     """A film of SMOOTH, shifted by so many pixels in each frame."""
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), 30, (128, 96))
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*CODECS[path.suffix]), 30, (128, 96))
     for shift in shifts:
         writer.write(np.roll(SMOOTH, shift, axis=1))
     writer.release()
@@ -258,6 +263,43 @@ def test_a_film_that_was_cut_off_is_named_with_how_far_it_came(tmp_path):
     cut, frames = walked(film)
     assert 10 < len(frames) < 25
     assert cut.problems == [f"{film}: ends after {len(frames)} of 40 frames; it was cut off, copy or convert it again"]
+
+
+def broken(path, numbers):
+    """The film, with so many of its frames overwritten."""
+    data = bytearray(path.read_bytes())
+    at = data.index(b"movi") + 4
+    for n in range(max(numbers) + 1):
+        (length,) = struct.unpack_from("<I", data, at + 4)
+        if n in numbers:
+            data[at + 8 : at + 8 + length] = bytes(length)
+        at += 8 + length + length % 2
+    path.write_bytes(data)
+    return path
+
+
+def test_a_frame_that_cannot_be_read_is_named_and_the_film_goes_on(tmp_path, monkeypatch):
+    film = broken(filmed(tmp_path / "film.avi", range(100)), {0, 50, 70, 71, 99})
+    found, frames = walked(film)
+    assert [frame.name for frame in frames] == [str(n) for n in range(99) if n not in {0, 50, 70, 71}]
+    assert frames[-1].t_s - frames[0].t_s == pytest.approx(97 / 30, abs=1e-3)
+    assert found.problems == [f"{film}: frames 0, 50, 70 to 71 cannot be read, 4 of 100; copy or convert it again"]
+    assert found.notes == [f"{film}: says that it has 100 frames, and ends after 99: some may be lost at its end"]
+    few = pictures(str(film), 51)
+    assert len(list(few.each)) == 49 and not few.notes
+    assert few.problems == [f"{film}: frames 0, 50 cannot be read, 2 of 51; copy or convert it again"]
+
+    def uncounted(*given):
+        camera = open_video(*given)
+        camera.count = 0
+        return camera
+
+    monkeypatch.setattr(enhance_source, "open_video", uncounted)  # as a raw stream of H.264
+    found, frames = walked(film)
+    assert len(frames) == 95 and found.problems[0].startswith(f"{film}: frames 0, 50, 70 to 71 cannot be read, 4 of 99")
+    assert found.notes == [
+        f"{film}: does not say how many frames it has: some may be lost after its 99; convert it to MP4"
+    ]
 
 
 def test_frames_that_do_not_change_are_noticed(tmp_path):
@@ -288,6 +330,24 @@ def test_a_picture_is_turned_as_a_viewer_turns_it(tmp_path):
     enhance(tmp_path / "a.jpg", tmp_path / "out")
     assert cv2.imread(str(tmp_path / "out" / "a.png")).shape == (128, 96, 3)
     assert next(pictures(str(tmp_path / "a.jpg"), None).each).image.shape == (96, 128, 3)
+
+
+@pytest.mark.parametrize(("matrix", "turn_deg"), [((0, 1, -1, 0), 90), ((-1, 0, 0, -1), 180)])
+def test_a_film_is_turned_as_its_file_says_for_people_alone(tmp_path, matrix, turn_deg):
+    """A telephone that is held upright writes how to turn what it filmed."""
+    film, whole = tmp_path / "film.mp4", filmed(tmp_path / "whole.mp4", [0])
+    data = bytearray(whole.read_bytes())
+    a, b, c, d = (one << 16 for one in matrix)
+    struct.pack_into(">9i", data, data.index(b"tkhd") + 44, a, b, 0, c, d, 0, 0, 0, 1 << 30)
+    film.write_bytes(data)
+    (plain,) = walked(whole)[1]
+    for source in (str(film), f"video:{film}"):
+        found = pictures(source, 1)
+        assert np.array_equal(next(found.each).image, plain.image)
+        how = "which is not followed: pixels are counted as the sensor has them"
+        assert found.notes == [f"{film}: says that it is to be turned by {turn_deg} degrees, {how}"]
+        upright = pictures(source, 1, upright=True)
+        assert np.array_equal(next(upright.each).image, np.rot90(plain.image, -turn_deg // 90)) and not upright.notes
 
 
 def test_one_picture_of_another_kind_is_no_film(tmp_path):

@@ -189,6 +189,11 @@ def test_a_folder_of_pictures_by_the_command(tmp_path, monkeypatch, capsys):
     assert "2 of 2 pictures used" in capsys.readouterr().out
     first, last = (np.array(tag["position_m"]) for tag in read_toml(tmp_path / "tags.toml")["landmarks"]["tag"])
     assert first[0] - last[0] == pytest.approx(144 / 64 * 0.08, abs=0.0015)  # by the sheet; 5 mm more by the fleet file
+    cv2.imwrite("pictures/2.png", cv2.imread("pictures/1.png")[:, 4:])  # a later one of another size: cut, or scaled
+    with pytest.raises(SystemExit) as ended:
+        main()
+    assert ended.value.code == 2
+    assert "calibrated for 288x144 pixels, and these pictures have 284x144" in capsys.readouterr().err
 
 
 def test_what_a_dive_recorded_is_taken_where_the_lens_was_at_rest(filmed):

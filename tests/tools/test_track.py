@@ -12,7 +12,7 @@ from agent.core.config import ConfigError
 from agent.perception.tracking import follow
 from agent.perception.tracking.appearance import Box, Likeness
 from agent.perception.tracking.follow import LIMITS, Followed, Follower, load_box_tracker, model_files
-from agent.tools.track import HEADER, Asked, Truth, annotated, check_rows, parse_box, read_truth, run, score
+from agent.tools.track import HEADER, Asked, Truth, annotated, check_rows, parse_box, read_truth, run, score, writer
 from tests.perception.tracking.swimming import clip, overlap
 from tests.places import DATA
 
@@ -46,16 +46,40 @@ def test_a_folder(folder, tmp_path):
     assert sorted(path.name for path in (tmp_path / "out").iterdir()) == [f"{k:06}.png" for k in range(6)]
 
 
+def test_pictures_whose_names_fall_together_are_all_written(tmp_path):
+    out = tmp_path / "out"
+    names = ["000007.png", "07.png", "7.jpg", "a.jpg", "a.png", "a.png.png"]
+    with writer(out) as show:
+        for k, name in enumerate(names):
+            show(np.full((4, 4, 3), k, np.uint8), name)
+    kept = {path.name: int(cv2.imread(str(path))[0, 0, 0]) for path in out.iterdir()}
+    assert kept == {
+        "000007.png": 0, "07.png.png": 1, "7.jpg.png": 2, "a.png": 3, "a.png.png": 4, "a.png.png.png": 5,
+    }  # fmt: skip
+
+
 def test_a_video_in_and_out(tmp_path):
     film, frames = tmp_path / "film.avi", list(clip(4))
-    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30, (480, 360))
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 12.5, (480, 360))
     for image, _ in frames:
         writer.write(image)
     writer.release()
     lines = []
     assert run(str(film), Asked(text(frames[0][1]), out=tmp_path / "out.avi"), lines.append)
     assert [line.split(",")[0] for line in lines[1:]] == ["0", "1", "2", "3"]
-    assert cv2.VideoCapture(str(tmp_path / "out.avi")).get(cv2.CAP_PROP_FRAME_COUNT) == 4
+    out = cv2.VideoCapture(str(tmp_path / "out.avi"))
+    assert (out.get(cv2.CAP_PROP_FRAME_COUNT), out.get(cv2.CAP_PROP_FPS)) == (4, 12.5)
+
+
+@pytest.mark.parametrize("name", ["out.mp4", "out.avi"])
+def test_a_film_of_odd_pictures_loses_neither_column_nor_row(tmp_path, name):
+    image = np.zeros((43, 61, 3), np.uint8)
+    image[32:, :], image[:, 48:] = 200, 200
+    with writer(tmp_path / name) as show:
+        show(image, "0")
+    _, seen = cv2.VideoCapture(str(tmp_path / name)).read()
+    assert seen.shape == (44, 62, 3)
+    assert np.abs(seen[:43, :61].astype(int) - image).max() < 60 and seen[43].min() > 150 and seen[:, 61].min() > 150
 
 
 @pytest.mark.parametrize("box", ["1,2,3", "a,b,c,d", "1,2,nan,4", ""])
@@ -134,7 +158,7 @@ def test_what_is_counted():
         "ambiguous",
     ]
     said = [Followed(BESIDE if k == 1 else HERE, 0.5, state) for k, state in enumerate([*states, "lost"])]
-    found = score(truth, said, rate_hz=4.0)
+    found = score(truth, dict(enumerate(said)), rate_hz=4.0)
     assert (found.frames, found.absent, found.in_grace, found.in_grace_said_lost) == (4 + 3, 3, 3, 1)
     assert (found.absent_said_lost, found.present_said_lost, found.on_target) == (3, 2, 2)
     assert found.mean_iou_followed == pytest.approx((1.0 + 14 / 26) / 2)
@@ -143,7 +167,7 @@ def test_what_is_counted():
 
 def test_a_thing_that_is_called_followed_while_it_is_away_counts_against_it():
     truth = [Truth(0, HERE), *(Truth(k, None) for k in range(1, 8))]
-    found = score(truth, [Followed(HERE, 0.9, "followed")] * 8, rate_hz=4.0)
+    found = score(truth, dict.fromkeys(range(8), Followed(HERE, 0.9, "followed")), rate_hz=4.0)
     assert (found.absent, found.absent_said_lost) == (4, 0)
 
 
@@ -164,6 +188,42 @@ def test_figures_of_a_folder(tmp_path, capsys):
     assert found["absent"] == 0 and found["in_grace"] == 2
     told = capsys.readouterr().err
     assert "--strict" in told and "--keep" in told and "written to" in told
+
+
+def test_frames_that_cannot_be_read_keep_their_numbers_and_are_not_scored(tmp_path, capsys):
+    """It is at another place in each frame: against the rows of others it would miss."""
+    source, rows = tmp_path / "source", []
+    source.mkdir()
+    for k, (image, box) in enumerate(clip(7)):
+        cv2.imwrite(str(source / f"{k}.png"), image)
+        rows.append(f"{k},{','.join(map(str, box))},1")
+    truth = write(tmp_path / "truth.csv", rows, "frame,x,y,w,h,visible")
+    figures = []
+    for bad in ((), (0, 3)):
+        for k in bad:
+            (source / f"{k}.png").write_bytes(b"")
+        out = tmp_path / f"out{len(bad)}"
+        assert run(str(source), Asked(truth=truth, out=out), lambda line: None) is not bool(bad)
+        figures.append(json.loads((out / "result.json").read_text()))
+    assert [(each["frames"], each["on_target"]) for each in figures] == [(7, 7), (5, 5)]
+    assert figures[1]["mean_iou"] == pytest.approx(figures[0]["mean_iou"], abs=0.1)
+    assert "--truth: 2 of 7 marked frames could not be read and are not scored" in capsys.readouterr().err
+    write(truth, rows[3:], "frame,x,y,w,h,visible")
+    with pytest.raises(ConfigError, match="not marked in frame 1, the first that can be read"):
+        run(str(source), Asked(truth=truth), lambda line: None)
+
+
+def test_a_film_is_as_long_as_it_announces_before_it_is_walked(tmp_path):
+    film, frames = tmp_path / "film.avi", list(clip(4))
+    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30, (480, 360))
+    for image, _ in frames:
+        writer.write(image)
+    writer.release()
+    truth = write(tmp_path / "truth.csv", ["0,10,10,20,20,1", "4,10,10,20,20,1"], "frame,x,y,w,h,visible")
+    lines = []
+    with pytest.raises(ConfigError, match="frame 4 is marked, but the source has 4 pictures"):
+        run(str(film), Asked(truth=truth, out=tmp_path / "out"), lines.append)
+    assert not lines and not (tmp_path / "out").exists()
 
 
 def test_what_keeps_does_not_let_go_of_what_fades(monkeypatch):

@@ -50,7 +50,7 @@ def follow(clip: Clip, files: tuple[Path, ...] | None) -> list[Followed]:
 
 def row_of(clip: Clip, said: list[Followed]) -> Row:
     """Numbers of frames; and how often it came back, and was then found again."""
-    scored, again = score(clip.truth, said, clip.rate_hz), returns(clip, said)
+    scored, again = score(clip.truth, dict(enumerate(said)), clip.rate_hz), returns(clip, said)
     return {
         "absent": scored.absent,
         "absent_lost": scored.absent_said_lost,
