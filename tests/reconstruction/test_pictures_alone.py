@@ -147,14 +147,25 @@ def test_a_length_that_says_nothing_is_one_line(folder: Path, text: str, why: st
     assert "\n" not in str(error.value)
 
 
-def test_a_bent_lens_is_straightened(folder: Path) -> None:
-    file = folder / "transforms.json"
-    data = json.loads(file.read_text())
-    for frame in data["frames"]:
-        frame["k1"] = 0.2
-    file.write_text(json.dumps(data))
-    views: list[View] = transforms_views(file, quiet).views
-    assert views[0].camera.bend == 0.0
+@pytest.mark.parametrize("bend", [0.5, -0.3])
+def test_a_bent_lens_is_straightened_without_a_border(tmp_path: Path, bend: float) -> None:
+    """All of what is left shows what a straight lens would have seen; of a barrel lens all pixels are."""
+    floor = partial(plane_depth, normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
+    place = (0.0, -0.35, 0.42), (0.0, 0.0, 0.0), floor
+    write_transforms([drawn_view(0, *place, camera=STRAIGHT._replace(bend=bend))], NOTHING, tmp_path / "scene")
+    (view,) = transforms_views(tmp_path / "scene", quiet).views
+    assert view.camera.bend == 0.0 and view.picture.shape[:2] == (view.camera.height, view.camera.width)
+    kept = view.camera.width * view.camera.height / (STRAIGHT.width * STRAIGHT.height)
+    assert kept == 1.0 if bend < 0.0 else 0.75 < kept < 0.95
+    true = drawn_view(0, *place, camera=view.camera).picture
+    off = np.abs(view.picture - true)
+    rim = np.concatenate([off[[0, -1]].ravel(), off[:, [0, -1]].ravel()])
+    assert off.mean() < 0.03 and rim.mean() < 0.03
+
+
+def test_a_lens_that_leaves_no_picture_is_one_line(folder: Path) -> None:
+    with pytest.raises(ConfigError, match="next to nothing of its picture is left"):
+        transforms_views(changed(folder, fl_x=154.0, fl_y=154.0, cx=900.0, cy=42.0, k1=5.0), quiet)
 
 
 @pytest.mark.parametrize("broken", ["{", '{"frames": [{"file_path": "a.png"}]}', '{"frames": 3}'])
@@ -255,19 +266,24 @@ def bent_by_a_fisheye(image: np.ndarray, k1: float) -> np.ndarray:
     return cv2.remap(image, (cx + f * x * grow).astype(np.float32), (cy + f * y * grow).astype(np.float32), 1)
 
 
+def inner(view: View) -> np.ndarray:
+    """Of the picture what lies about its optical axis, which a straightened one need not have in its middle."""
+    x, y = round(view.camera.cx_px + 0.5), round(view.camera.cy_px + 0.5)
+    return view.picture[y - 22 : y + 22, x - 36 : x + 36]
+
+
 @pytest.mark.parametrize("words", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
 def test_a_fisheye_is_straightened_by_its_own_rule(folder: Path, words: dict) -> None:
-    straight = transforms_views(folder, quiet).views[0].picture
+    straight = transforms_views(folder, quiet).views[0]
     for path in (folder / "images").iterdir():
         cv2.imwrite(str(path), bent_by_a_fisheye(cv2.imread(str(path)), 0.5))
-    inner = (slice(20, -20), slice(20, -20))
     apart = {}
     for name, entries in (
         ("fisheye", {**words, "k1": 0.5}),
         ("plain", {"camera_model": "OPENCV", "is_fisheye": False}),
     ):
-        there = transforms_views(changed(folder, **entries), quiet).views[0].picture
-        apart[name] = float(np.abs(there - straight)[inner].mean())
+        there = transforms_views(changed(folder, **entries), quiet).views[0]
+        apart[name] = float(np.abs(inner(there) - inner(straight)).mean())
     assert apart["fisheye"] < 0.5 * apart["plain"]
 
 
