@@ -23,6 +23,7 @@ from tests.reconstruction.drawn import drawn_view, plane_depth
 STRAIGHT = Camera(154.0, 55.5, 41.5, 0.0, 0.0, 112, 84)
 NOTHING = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), *(np.zeros((0, 3), np.float32),) * 2,
                np.zeros(0, np.float32), np.zeros(0, np.uint8))  # fmt: skip
+AWAY = 5e5, 4e6, -30.0
 UNIT = 20.0  # of a scene that is not in metres: what is 0.5 m away is 10
 
 
@@ -113,20 +114,37 @@ def test_a_floor_from_pictures_alone(folder: Path, tmp_path: Path) -> None:
     assert figures["views"] == 5 and not {"area_m2", "size_m", "sigma_mm"} & figures.keys(), "nobody knows the unit"
     assert figures["size_units"] == pytest.approx(np.ptp(result.built.mesh.vertices_m, axis=0), rel=1e-3)
     assert result.figures["image"]["psnr_held_back_db"] is None or result.figures["image"]["psnr_held_back_db"] > 15
-    assert (out / "surface.ply").exists()
+    head = (out / "surface.ply").read_bytes().partition(b"end_header")[0].decode()
+    assert "comment aucamp, units and axes of the scene\n" in head and "float sigma\n" in head and "origin" not in head
 
 
-def test_one_known_length_makes_metres(folder: Path, tmp_path: Path) -> None:
-    """The scene is UNIT times as large as it was drawn."""
+def test_one_known_length_makes_metres_and_a_scene_far_from_zero_keeps_its_shape(folder: Path, tmp_path: Path) -> None:
+    """UNIT times as large as it was drawn, and as far away as map coordinates: files say what they count from."""
+    data = json.loads((folder / "transforms.json").read_text())
+    for frame in data["frames"]:
+        for k, away in enumerate(AWAY):
+            frame["transform_matrix"][k][3] += away
+    (folder / "transforms.json").write_text(json.dumps(data))
     views = transforms_views(folder, quiet).views
     apart_m = float(np.linalg.norm(views[0].position_m - views[3].position_m)) / UNIT
     names = [frame.file_path for frame in read_transforms(folder / "transforms.json").frames]
     length = parse_length(f"{names[0]},{Path(names[3]).stem},{apart_m}")
     assert unit_m(folder, length) == pytest.approx(1.0 / UNIT)
-    (tmp_path / "out").mkdir()
-    asked = Settings(transforms=folder, length=length, video=False, cell_m=0.01)
-    figures = run(asked, tmp_path / "out", quiet).figures
-    assert 0.2 < figures["size_m"][0] < 2.0 and "size_units" not in figures
+    (out := tmp_path / "out").mkdir()
+    kinds = ("ply", "colmap", "transforms.json")
+    result = run(Settings(transforms=folder, length=length, video=False, cell_m=0.01, exports=kinds), out, quiet)
+    assert 0.2 < result.figures["size_m"][0] < 2.0 and "size_units" not in result.figures
+    origin = result.figures["origin_m"]
+    heights = result.built.mesh.vertices_m[:, 2] + origin[2] - AWAY[2] / UNIT
+    assert np.median(np.abs(heights)) < 2e-3 and np.abs(result.built.mesh.vertices_m).max() < 3.0
+    np.testing.assert_allclose(origin[:2], np.array(AWAY[:2]) / UNIT, atol=1.0)
+    head = (out / "surface.ply").read_bytes().partition(b"end_header")[0].decode()
+    assert "comment aucamp, metres, axes of the scene\ncomment origin 25000.0 199999." in head
+    assert "origin" in result.notes[-1] and (out / "colmap/sparse/0/images.txt").read_text().startswith(
+        "# origin 25000.0"
+    )
+    applied = json.loads((out / "nerfstudio" / "transforms.json").read_text())["applied_transform"]
+    assert [row[3] for row in applied] == [-one for one in origin]
 
 
 @pytest.mark.parametrize(
