@@ -2,7 +2,7 @@
 the fit of a camera and of the servos of its gimbal.
 
 A flat port bends rays much as a lens with some pincushion distortion would, so the water needs no model of its own:
-focal length, centre and two radial terms take it in (perception of a target near the optical axis uses the first two).
+focal length, centre and one radial term take it in.
 """
 
 from __future__ import annotations
@@ -108,6 +108,11 @@ def board_picture(columns: int, rows: int, square_mm: float) -> NDArray[np.float
 
 
 # --- intrinsics ---
+#
+# A robot's lens has one radial term. Fitted to corners of one that has more, such as a wide one behind a port, it makes
+# up for them by its focal length and centre, which are then off by many times what is said of them. So a fuller lens is
+# fitted as well. Where that fits clearly better, focal length and centre are its, and the one term is what fits best
+# with these.
 
 
 class Intrinsics(NamedTuple):
@@ -122,6 +127,7 @@ class Intrinsics(NamedTuple):
     residual_px: float
     views: int
     sigma_px: tuple[float, float, float]  # standard deviations of f, cx and cy
+    fuller_px: float | None = None  # residual of a fuller lens, where f and the centre are of one
 
 
 def calibrate_camera(
@@ -142,6 +148,11 @@ def calibrate_camera(
         f"{fit.residual_px:.2f} px, distortion {bend_px:.1f} px in the corners; "
         f"standard deviations: f {f_sigma:.1f} px, centre {x_sigma:.1f} and {y_sigma:.1f} px"
     )
+    if fit.fuller_px is not None:
+        console.print(
+            f"this lens bends otherwise than one radial term says: f and centre are of a fuller one (residual "
+            f"{fit.fuller_px:.2f} px), and towards the picture's corners rays are less sure than these"
+        )
     if out is not None:
         sizes = {"width_px": fit.width_px, "height_px": fit.height_px}
         lens = {"f_px": fit.f_px, "cx_px": fit.cx_px, "cy_px": fit.cy_px, "noise_px": max(fit.residual_px, 0.05)}
@@ -221,14 +232,55 @@ def intrinsics(shots: Photographs, columns: int, rows: int, square_mm: float, pr
         )
     board = np.zeros((columns * rows, 3), np.float32)
     board[:, :2] = square_mm * np.mgrid[0:columns, 0:rows].T.reshape(-1, 2)
-    flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_ASPECT_RATIO
+    return of_corners(folder, board, found, size)
+
+
+def of_corners(folder: Path, board: Any, found: Sequence[Any], size: tuple[int, int]) -> Intrinsics:
+    """The lens that sees the board's corners (n, 3) where they were found in each view (n, 1, 2), px.
+
+    size: width and height. Raises ConfigError, as `intrinsics`, in the folder's name."""
     start = np.array([[size[0], 0, size[0] / 2], [0, size[0], size[1] / 2], [0, 0, 1]], float)
-    residual, matrix, distortion, turns, places = cv2.calibrateCamera(
-        [board] * len(found), found, size, start, np.zeros(5), flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS
+    fit = _fitted(board, found, size, start, 0.0, PLAIN)
+    if fit.residual_px > MAX_RESIDUAL_PX:
+        raise ConfigError(f"{folder}: corners miss by {fit.residual_px:.1f} px; check --board and the focus")
+    sigma = max(fit.residual_px, NOISE_PX) * unit_sigma(board, *fit[1:])
+    _check_known(folder, sigma, fit.matrix, size)
+    try:
+        fuller = _fitted(board, found, size, fit.matrix, fit.k1, FULLER)
+    except cv2.error:  # its search has left the picture: these views tell nothing of more terms
+        fuller = fit
+    spare = 2 * len(board) * len(found) - 6 * len(found) - 4 - MORE
+    clearly = fit.residual_px**2 > (1.0 + CLEARLY * MORE / spare) * fuller.residual_px**2
+    if not clearly:
+        fuller = fit
+    else:
+        sigma = max(fuller.residual_px, NOISE_PX) * unit_sigma(board, *fuller[1:], more=True)
+        _check_known(folder, sigma, fuller.matrix, size)
+    f_px = math.sqrt(fuller.matrix[0, 0] * fuller.matrix[1, 1])
+    stretched = 0.5 * abs(fuller.matrix[0, 0] - fuller.matrix[1, 1])  # px, of the one that has to do for both
+    if stretched > MOST_SIGMA * f_px:
+        raise ConfigError(
+            f"{folder}: pictures are stretched: f is {fuller.matrix[0, 0]:.1f} px across and "
+            f"{fuller.matrix[1, 1]:.1f} px down; choose a size of the camera's that has square pixels"
+        )
+    if clearly:
+        given = np.array([[f_px, 0, fuller.matrix[0, 2]], [0, f_px, fuller.matrix[1, 2]], [0, 0, 1]])
+        fit = _fitted(board, found, size, given, fuller.k1, GIVEN)
+    return Intrinsics(
+        *size,
+        float(fit.matrix[0, 0]),
+        float(fit.matrix[0, 2]),
+        float(fit.matrix[1, 2]),
+        fit.k1,
+        fit.residual_px,
+        len(found),
+        (math.hypot(sigma[0], stretched), float(sigma[1]), float(sigma[2])),
+        fuller.residual_px if clearly else None,
     )
-    if residual > MAX_RESIDUAL_PX:
-        raise ConfigError(f"{folder}: corners miss by {residual:.1f} px; check --board and the focus")
-    sigma = max(residual, NOISE_PX) * unit_sigma(board, matrix, distortion, turns, places)
+
+
+def _check_known(folder: Path, sigma: Array, matrix: Any, size: tuple[int, int]) -> None:
+    """Raises ConfigError for views that leave focal length or centre open; sigma as of `unit_sigma`, px."""
     for what, share in (("focal length", sigma[0] / matrix[0, 0]), ("centre", sigma[1:3].max() / size[0])):
         if not share <= MOST_SIGMA:
             known = f"to {100 * share:.1f} %" if share < 0.2 else "at all"
@@ -236,31 +288,55 @@ def intrinsics(shots: Photographs, columns: int, rows: int, square_mm: float, pr
                 f"{folder}: these views do not determine the {what} {known}, and {100 * MOST_SIGMA:.1f} % is needed; "
                 f"{TILT}"
             )
-    return Intrinsics(
-        *size,
-        float(matrix[0, 0]),
-        float(matrix[0, 2]),
-        float(matrix[1, 2]),
-        float(distortion.ravel()[0]),
-        float(residual),
-        len(found),
-        (float(sigma[0]), float(sigma[1]), float(sigma[2])),
+
+
+FULLER = cv2.CALIB_FIX_K3 | cv2.CALIB_USE_INTRINSIC_GUESS  # k2, p1, p2 and the shape of a pixel beside k1
+PLAIN = FULLER | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_ASPECT_RATIO
+GIVEN = PLAIN | cv2.CALIB_FIX_FOCAL_LENGTH | cv2.CALIB_FIX_PRINCIPAL_POINT
+MORE = 4  # unknowns of the fuller lens
+CLEARLY = 10.0  # Fisher's F of them: 1 where they tell nothing, and by chance above 5 in one calibration of a thousand
+
+
+class _Fitted(NamedTuple):
+    residual_px: float
+    matrix: Any
+    distortion: Any
+    turns: Sequence[Any]
+    places: Sequence[Any]
+
+    @property
+    def k1(self) -> float:
+        return float(self.distortion.ravel()[0])
+
+
+def _fitted(board: Any, found: Sequence[Any], size: tuple[int, int], start: Any, k1: float, flags: int) -> _Fitted:
+    bends = np.array([k1, 0.0, 0.0, 0.0, 0.0])
+    boards = [board] * len(found)
+    residual, matrix, distortion, turns, places = cv2.calibrateCamera(
+        boards, found, size, start.copy(), bends, flags=flags
     )
+    return _Fitted(float(residual), matrix, distortion, turns, places)
 
 
 ROUNDING = 1e-9  # of the largest: what is less in a normal matrix is none
 
 
-def unit_sigma(board: Any, matrix: Any, distortion: Any, turns: Sequence[Any], places: Sequence[Any]) -> Array:
+def unit_sigma(
+    board: Any, matrix: Any, distortion: Any, turns: Sequence[Any], places: Sequence[Any], more: bool = False
+) -> Array:
     """Standard deviations of f, cx, cy and k1 for corners that err by a pixel; infinite where they are not determined.
+
+    more: of the fuller lens, of which those of pixels' shape, k2, p1 and p2 follow.
 
     The board's pose in each view is taken out of the normal equations by itself (Schur complement): what it can undo
     says nothing. OpenCV's own figures come of a pseudo-inverse, which makes what is not determined look certain.
     """
-    normal = np.zeros((4, 4))
+    normal = np.zeros((4 + more * MORE,) * 2)
     for turn, place in zip(turns, places, strict=True):
         J = cv2.projectPoints(board, turn, place, matrix, distortion)[1]
         lens = np.column_stack([J[:, 6] + J[:, 7], J[:, 8], J[:, 9], J[:, 10]])
+        if more:
+            lens = np.column_stack([lens, J[:, 6] - J[:, 7], J[:, 11:14]])
         pose, _ = np.linalg.qr(J[:, :6])
         left = lens - pose @ (pose.T @ lens)
         normal += left.T @ left
