@@ -241,9 +241,9 @@ def calibrate(
 
         camera_calibration.calibrate_camera(Path(source), *as_board(board or "14x9x20"), out, terminal())
     elif kind == "gamma":
-        from agent.tools import camera_calibration
+        from agent.tools import tags
 
-        camera_calibration.calibrate_gamma(Path(source), out, terminal())
+        tags.calibrate_gamma(Path(source), out, terminal())
     elif kind == "body":
         from agent.tools import body_calibration
 

@@ -20,6 +20,25 @@ from replay.files.frames import schema
 from replay.files.mcap_file import Part
 from replay.viewers.foxglove import Turn, world_cloud, world_poses
 
+# --- what the numbers in a file mean ---
+
+
+class Space(NamedTuple):
+    """Of a scene: in which unit and axes its lengths are, and what they are counted from."""
+
+    said: str = "metres, z up"
+    sigma: str = "sigma_m"  # name of a standard deviation
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)  # where that is in the scene as it was given
+
+    @property
+    def away(self) -> str:
+        """Where the origin is, in words; nothing where it is that of the scene itself."""
+        return f"origin {_text(list(self.origin))}" if any(self.origin) else ""
+
+
+WORLD = Space()  # of a dive
+
+
 # --- light as bytes, for pictures and vertex colours ---
 
 GAMMA = 2.2  # near enough to sRGB that no viewer shows the difference
@@ -82,7 +101,7 @@ def names(views: list[View]) -> list[str]:
 MOST_POINTS = 100_000  # of the surface, which is enough for any program to start from
 
 
-def write_colmap(views: list[View], mesh: Mesh, folder: Path) -> None:
+def write_colmap(views: list[View], mesh: Mesh, folder: Path, space: Space = WORLD) -> None:
     """The folder is made; camera n belongs to image n, for each robot has its own lens at its own position.
 
     Points are of what was seen.
@@ -106,7 +125,8 @@ def write_colmap(views: list[View], mesh: Mesh, folder: Path) -> None:
         for n, m in enumerate(seen[::step].tolist(), start=1)
     ]
     for file, lines in (("cameras.txt", cameras), ("images.txt", poses), ("points3D.txt", points)):
-        write_whole(sparse / file, "".join(f"{line}\n" for line in lines))
+        head = [f"# {space.away}"] if space.away else []
+        write_whole(sparse / file, "".join(f"{line}\n" for line in (*head, *lines)))
 
 
 def _text(numbers: list[float]) -> str:
@@ -117,7 +137,7 @@ def _text(numbers: list[float]) -> str:
 
 
 def write_glb(mesh: Mesh, path: Path) -> None:
-    """Metres, y up as glTF wants it; alpha is half where nobody saw the surface, which viewers show as any other.
+    """Y up as glTF wants it; alpha is half where nobody saw the surface, which viewers show as any other.
 
     Raises Failed where trimesh is not installed.
     """
@@ -143,16 +163,16 @@ POINTS, CAMERAS = "/scene/points", "/scene/cameras"
 T_NS = 0  # a scene stands still: it has no time
 
 
-def write_mcap(views: list[View], mesh: Mesh, path: Path) -> None:
-    """World frame, metres, z up. A point has `sigma_m` and `views` beside its colour; a camera looks along z, y down.
+def write_mcap(views: list[View], mesh: Mesh, path: Path, space: Space = WORLD) -> None:
+    """A point has `sigma_m` and `views` beside its colour; a camera looks along z, y down.
 
     Raises ConfigError where the file cannot be written, or is there.
     """
-    beside = {"sigma_m": mesh.sigma_m.astype("<f4"), "views": mesh.views.astype("u1")}
+    beside = {space.sigma: mesh.sigma_m.astype("<f4"), "views": mesh.views.astype("u1")}
     cloud = world_cloud(mesh.vertices_m.astype(np.float32), encoded(mesh.colours), beside, T_NS)
     poses = world_poses([_vector(view) for view in views], [_turn(view) for view in views], T_NS)
     file = Part(path)
-    file.start({"kind": "scene"}, {})
+    file.start({"kind": "scene", "lengths": space.said, **({"away": space.away} if space.away else {})}, {})
     for number, (channel, message) in enumerate(((POINTS, cloud), (CAMERAS, poses))):
         file.add(
             Entry(
@@ -183,32 +203,33 @@ def _turn(view: View) -> Turn:
 FORMATS = {"f4": "float", "u1": "uchar"}
 
 
-def write_ply(mesh: Mesh, path: Path) -> None:
-    """World frame, metres, z up."""
+def write_ply(mesh: Mesh, path: Path, space: Space = WORLD) -> None:
+    """Triangles; a comment says what lengths mean."""
     vertices = np.empty(
         len(mesh.vertices_m),
         [(name, "<f4") for name in ("x", "y", "z", "nx", "ny", "nz")]
         + [(name, "u1") for name in ("red", "green", "blue")]
-        + [("sigma_m", "<f4"), ("views", "u1")],
+        + [(space.sigma, "<f4"), ("views", "u1")],
     )
     for n, axis in enumerate("xyz"):
         vertices[axis], vertices[f"n{axis}"] = mesh.vertices_m[:, n], mesh.normals[:, n]
     for n, colour in enumerate(("red", "green", "blue")):
         vertices[colour] = encoded(mesh.colours)[:, n]
-    vertices["sigma_m"], vertices["views"] = mesh.sigma_m, mesh.views
+    vertices[space.sigma], vertices["views"] = mesh.sigma_m, mesh.views
     faces = np.empty(len(mesh.faces), [("count", "u1"), ("corners", "<i4", (3,))])
     faces["count"], faces["corners"] = 3, mesh.faces
     ending = [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-    write_elements(path, vertices, ending, faces)
+    write_elements(path, vertices, ending, faces, space)
 
 
 def write_elements(
-    path: Path, vertices: NDArray[np.void], ending: list[str], rest: NDArray[np.void] | None = None
+    path: Path, vertices: NDArray[np.void], ending: list[str], rest: NDArray[np.void] | None, space: Space
 ) -> None:
     """A PLY file whose vertices have the fields of a structured array, floats and bytes."""
     names = vertices.dtype.names or ()
     properties = [f"property {FORMATS[vertices.dtype[name].str[1:]]} {name}" for name in names]
-    head = ["ply", "format binary_little_endian 1.0", "comment aucamp, metres, z up"]
+    head = ["ply", "format binary_little_endian 1.0", f"comment aucamp, {space.said}"]
+    head += [f"comment {space.away}"] if space.away else []
     head += [f"element vertex {len(vertices)}", *properties, *ending, "end_header"]
     parts = ["\n".join(head).encode() + b"\n", vertices.tobytes(), b"" if rest is None else rest.tobytes()]
     write_whole(path, b"".join(parts))
@@ -221,8 +242,8 @@ OPACITY, CONCLUDED_OPACITY = 0.97, 0.8
 BAND0 = 0.28209479177387814  # the constant spherical harmonic: colour = 0.5 + BAND0 f_dc
 
 
-def write_splat(mesh: Mesh, cell_m: float, path: Path) -> None:
-    """Degree 0: one colour from all sides. Quaternions are (w, x, y, z), scales logarithms of metres."""
+def write_splat(mesh: Mesh, cell_m: float, path: Path, space: Space = WORLD) -> None:
+    """Degree 0: one colour from all sides. Quaternions are (w, x, y, z), scales logarithms of lengths."""
     names = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", "opacity"]
     names += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
     splats = np.zeros(len(mesh.vertices_m), [(name, "<f4") for name in names])
@@ -235,7 +256,7 @@ def write_splat(mesh: Mesh, cell_m: float, path: Path) -> None:
         splats[f"rot_{n}"] = turn[:, n]
     opacity = np.where(mesh.views > 0, OPACITY, CONCLUDED_OPACITY)
     splats["opacity"] = np.log(opacity / (1.0 - opacity))
-    write_elements(path, splats, [])
+    write_elements(path, splats, [], None, space)
 
 
 def from_z(normals: NDArray[np.float64]) -> Floats:
@@ -252,7 +273,7 @@ NEARLY_ALL = 99.9  # percent of the depths that have to fit: a few far ones are 
 TO_OPENGL = np.diag([1.0, -1.0, -1.0, 1.0])  # theirs look along -z, y up
 
 
-def write_transforms(views: list[View], mesh: Mesh, folder: Path) -> None:
+def write_transforms(views: list[View], mesh: Mesh, folder: Path, space: Space = WORLD) -> None:
     """The folder is made. Depths are in steps of depth_unit_scale_factor, in the scene's unit; what is too far is 0."""
     for name in ("images", "depths"):
         (folder / name).mkdir(parents=True)
@@ -263,8 +284,10 @@ def write_transforms(views: list[View], mesh: Mesh, folder: Path) -> None:
         depths = np.where((steps > 0) & (steps <= MOST_DEPTH), steps, 0)
         write_picture(folder / "depths" / f"{name}.png", depths.astype(np.uint16))
         frames.append({"file_path": f"images/{name}.png", "depth_file_path": f"depths/{name}.png", **frame(view)})
-    write_ply(mesh, folder / "points.ply")
-    top = {"camera_model": "OPENCV", "depth_unit_scale_factor": unit, "ply_file_path": "points.ply"}
+    write_ply(mesh, folder / "points.ply", space)
+    top: dict[str, Any] = {"camera_model": "OPENCV", "depth_unit_scale_factor": unit, "ply_file_path": "points.ply"}
+    if space.away:  # nerfstudio's word for what was done to the poses as they were given
+        top["applied_transform"] = np.column_stack([np.eye(3), np.negative(space.origin)]).tolist()
     write_whole(folder / "transforms.json", json.dumps({**top, "frames": frames}, indent=1) + "\n")
 
 
@@ -293,19 +316,19 @@ def frame(view: View) -> dict[str, Any]:
 Kind = Literal["ply", "glb", "colmap", "transforms.json", "splat", "mcap"]
 
 
-def export(kind: Kind, views: list[View], mesh: Mesh, cell_m: float, folder: Path) -> Path:
+def export(kind: Kind, views: list[View], mesh: Mesh, cell_m: float, folder: Path, space: Space = WORLD) -> Path:
     """Write into the folder, which is there; what was written. Raises Failed where a package is missing."""
     match kind:
         case "ply":
-            write_ply(mesh, path := folder / "surface.ply")
+            write_ply(mesh, path := folder / "surface.ply", space)
         case "glb":
             write_glb(mesh, path := folder / "surface.glb")
         case "splat":
-            write_splat(mesh, cell_m, path := folder / "splat.ply")
+            write_splat(mesh, cell_m, path := folder / "splat.ply", space)
         case "mcap":
-            write_mcap(views, mesh, path := folder / "scene.mcap")
+            write_mcap(views, mesh, path := folder / "scene.mcap", space)
         case "colmap":
-            write_colmap(views, mesh, path := folder / "colmap")
+            write_colmap(views, mesh, path := folder / "colmap", space)
         case "transforms.json":
-            write_transforms(views, mesh, path := folder / "nerfstudio")
+            write_transforms(views, mesh, path := folder / "nerfstudio", space)
     return path

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -17,7 +18,7 @@ from agent.clock import machine
 from agent.core.config import ConfigError, to_install, write_whole
 from agent.process.command import Failed, Progress, Show
 from agent.reconstruction import surfels
-from agent.reconstruction.export import Kind, export
+from agent.reconstruction.export import WORLD, Kind, Space, export
 from agent.reconstruction.fusion import CELL_M, Built, build
 from agent.reconstruction.held_back import HeldBack, ImageModel, ModelKind, held_back, judged, smaller
 from agent.reconstruction.mesh import Mesh, seen_faces
@@ -56,10 +57,11 @@ class Made(NamedTuple):
     notes: list[str]  # what a person should know of the pictures
     own: float = 1.0  # by what to multiply lengths for those of the scene
     metres: bool = True  # these are; else nobody knows their unit
+    space: Space = WORLD  # of what is written
 
 
 class Result(NamedTuple):
-    built: Built  # in the scene's own unit, as `held`
+    built: Built  # in the scene's own unit and from its origin, as `held`
     held: list[View]
     files: list[Path]
     passed_over: dict[str, int]
@@ -78,7 +80,7 @@ def run(settings: Settings, out: Path, show: Show) -> Result:
     else:
         made = _from_recordings(settings, show)
     views, mesh = scaled(made.built.views, made.own), scaled_mesh(made.built.mesh, made.own)
-    files = [export(kind, views, mesh, settings.cell_m * made.own, out) for kind in settings.exports]
+    files = [export(kind, views, mesh, settings.cell_m * made.own, out, made.space) for kind in settings.exports]
     figures = figures_of(views, mesh, made)
     model = image_model(
         settings.model,
@@ -111,18 +113,21 @@ def _from_pictures(settings: Settings, folder: Path, show: Show) -> Made:
     """Pictures that others took have poses alone, and lengths of an unknown unit, unless one is known."""
     unit = 1.0 if settings.length is None else unit_m(folder, settings.length)
     posed = transforms_views(folder, show)
-    views = posed.views
+    origin = origin_of(posed.views)
+    views = [replace(view, position_m=view.position_m - origin) for view in posed.views]
     by = scale_of(views)
     used, held = held_back(scaled(views, by))
     found = with_depths(used, lambda done, total: show(done, total, "looking for depths"))
-    return Made(
-        _built(found, settings, True, show),
-        held,
-        posed.passed_over,
-        posed.notes,
-        unit / by,
-        settings.length is not None,
+    x, y, z = (float(f"{unit * one:.15g}") for one in origin)
+    known = settings.length is not None
+    space = Space("metres, axes of the scene", "sigma_m") if known else Space("units and axes of the scene", "sigma")
+    space = space._replace(origin=(x, y, z))
+    notes = (
+        [*posed.notes, f"the scene lies far from zero: files count from its {space.away}"]
+        if space.away
+        else posed.notes
     )
+    return Made(_built(found, settings, True, show), held, posed.passed_over, notes, unit / by, known, space)
 
 
 def _built(views: Sequence[View], settings: Settings, stereo: bool, show: Show) -> Built:
@@ -179,6 +184,8 @@ def figures_of(views: Sequence[View], mesh: Mesh, made: Made) -> dict[str, Any]:
             "size_units": size,
             "sigma_units": {name: float(f"{value:.3g}") for name, value in sigma.items()},
         }
+    if made.space.away:
+        lengths["origin_m" if made.metres else "origin_units"] = list(made.space.origin)
     return {
         "views": len(views),
         "held_back": len(made.held),
@@ -210,6 +217,7 @@ def area_m2(mesh: Mesh) -> float:
 NEAR, FAR = 0.25, 5.0  # shares of that, between which things are looked for
 EVERYWHERE = Range(NEAR * DISTANCE_M, FAR * DISTANCE_M)
 STEPS = 2.0  # of the wide sweep, as sigma: what its depths are good for
+FAR_AWAY = 1000.0  # times as far as cameras are apart: floats of 32 bits are then off by a hundredth of a cell
 SMALLER = 2  # times, are the pictures that are looked through first
 
 Depths = NDArray[np.float32]
@@ -223,6 +231,18 @@ def scale_of(views: Sequence[View]) -> float:
     if not typical > 0.0:
         raise Failed("the cameras do not look at one scene: what is nearest to all their axes is behind them")
     return DISTANCE_M / typical
+
+
+def origin_of(views: Sequence[View]) -> Floats:
+    """What a scene (3,) is counted from: zero, or, where it lies so far away that numbers of 32 bits, as most formats
+    have, would not tell its places apart, a round place among its cameras."""
+    places = np.array([view.position_m for view in views])
+    middle = np.median(places, axis=0)
+    spread = float(np.median(np.linalg.norm(places - middle, axis=1)))
+    if spread == 0.0 or float(np.abs(middle).max()) <= FAR_AWAY * spread:
+        return np.zeros(3)
+    step = 10.0 ** math.floor(math.log10(spread))
+    return np.asarray(np.rint(middle / step) * step)
 
 
 def looked_at(views: Sequence[View]) -> Floats:

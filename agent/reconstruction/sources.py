@@ -20,6 +20,7 @@ import cv2
 import msgspec
 import numpy as np
 from msgspec import Meta
+from numpy.typing import NDArray
 
 from agent.core.attitude import zeros
 from agent.core.codec import as_text
@@ -235,6 +236,8 @@ TO_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
 GAMMA = 2.2
 FLAT = 1e-9  # of a determinant: no rotation has so little, at any scale of a scene
 SHEARED = 0.02  # of what a rotation times its transpose is off from one: rounding leaves 1e-3
+EDGE_PX = 0.5  # beyond the middles of the outermost pixels: as far as these reach
+LEAST_SIDE = 0.25  # of the shorter side: what is left of a straightened picture
 MOST_BYTES = 2**26  # of transforms.json: 1 kB a picture
 
 Row = tuple[float, float, float, float]
@@ -401,7 +404,8 @@ def _picture(file: Path, name: str) -> Path | None:
 def _pinhole(
     file: Path, data: Transforms, frame: Frame, image: np.ndarray, n: int
 ) -> tuple[float, tuple[float, float], np.ndarray]:
-    """Focal length and centre of the picture as a straight pinhole would have taken it, and that picture."""
+    """Focal length and centre of the picture as a straight pinhole would have taken it, and that picture, cut to what
+    the lens saw: a black border would be taken for a part of the scene."""
     height, width = map(int, image.shape[:2])
     about: dict[str, Any] = {}
     for lens in (data, frame):
@@ -423,12 +427,43 @@ def _pinhole(
     k1, k2, k3, k4, k5, k6, p1, p2 = (about.get(name, 0.0) for name in ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2"))
     flat = np.array([[fx, 0.0, cx], [0.0, fx, cy], [0.0, 0.0, 1.0]])
     bent = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    size, kind = (width, height), cv2.CV_32FC1
     if model in FISHEYES:
-        image = np.asarray(cv2.fisheye.undistortImage(image, bent, np.array([k1, k2, k3, k4]), None, flat), np.uint8)
+        bends = np.array([k1, k2, k3, k4])
+        x, y = cv2.fisheye.initUndistortRectifyMap(bent, bends, np.eye(3), flat, size, kind)
     elif any((k1, k2, k3, p1, p2, k4, k5, k6)) or fx != fy:
         bends = np.array([k1, k2, p1, p2, k3, k4, k5, k6])
-        image = np.asarray(cv2.undistort(image, bent, bends, None, flat), np.uint8)
-    return fx, (cx, cy), image
+        x, y = cv2.initUndistortRectifyMap(bent, bends, np.eye(3), flat, size, kind)
+    else:
+        return fx, (cx, cy), image
+    left, top, right, bottom = within(x, y)
+    if min(right - left, bottom - top) < LEAST_SIDE * min(size):
+        raise ConfigError(f"{file}: frame {n}: straightened, next to nothing of its picture is left; check k1 to p2")
+    part = np.s_[top:bottom, left:right]
+    image = np.asarray(cv2.remap(image, x[part], y[part], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE), np.uint8)
+    return fx, (cx - left, cy - top), image
+
+
+def within(x: NDArray[Any], y: NDArray[Any]) -> tuple[int, int, int, int]:
+    """Left, top, right and bottom (the last two exclusive) of a straightened picture without what the lens never saw.
+
+    x, y: (height, width) where its pixels are in the picture of that size as taken. The side of which most was never
+    seen goes first. Of a lens that bends inwards (barrel) nothing goes.
+    """
+    height, width = x.shape
+    seen = (x >= -EDGE_PX) & (x <= width - 1 + EDGE_PX) & (y >= -EDGE_PX) & (y <= height - 1 + EDGE_PX)
+    left, top, right, bottom = 0, 0, width, height
+    while left < right and top < bottom:
+        rows, columns = np.s_[top:bottom], np.s_[left:right]
+        shares = [float(side.mean()) for side in
+                  (seen[rows, left], seen[top, columns], seen[rows, right - 1], seen[bottom - 1, columns])]  # fmt: skip
+        worst = int(np.argmin(shares))
+        if shares[worst] == 1.0:
+            break
+        left, top, right, bottom = (
+            left + (worst == 0), top + (worst == 1), right - (worst == 2), bottom - (worst == 3)
+        )  # fmt: skip
+    return left, top, right, bottom
 
 
 def _check_size(where: str, name: str, size: tuple[int, int], about: dict[str, Any]) -> None:

@@ -1,8 +1,8 @@
-"""`aucamp calibrate camera`: intrinsics from photographs of a chessboard, taken in the water that will be dived in; the
-fit of a camera and of the servos of its gimbal; and `aucamp calibrate gamma`, how a camera codes light.
+"""`aucamp calibrate camera`: intrinsics from photographs of a chessboard, taken in the water that will be dived in; and
+the fit of a camera and of the servos of its gimbal.
 
 A flat port bends rays much as a lens with some pincushion distortion would, so the water needs no model of its own:
-focal length, centre and two radial terms take it in (perception of a target near the optical axis uses the first two).
+focal length, centre and one radial term take it in.
 """
 
 from __future__ import annotations
@@ -21,11 +21,8 @@ from rich.console import Console
 from agent.core.config import Body, ConfigError, write_whole
 from agent.core.messages import Vector
 from agent.core.ranging.camera_model import CameraFit
-from agent.perception.tags import Plane, all_tags, green, light_of_bytes, module_px
 from agent.process.command import Progress, with_bar
 from agent.tools.focus_calibration import HUBER, Array, CalibrationRefused, check_file, gauss_newton, put, scale, solve
-from agent.tools.tags import plain_camera
-from hw.camera.camera import Image
 from hw.camera.files import folder_of_pictures, read_picture, turned
 
 if TYPE_CHECKING:
@@ -111,6 +108,11 @@ def board_picture(columns: int, rows: int, square_mm: float) -> NDArray[np.float
 
 
 # --- intrinsics ---
+#
+# A robot's lens has one radial term. Fitted to corners of one that has more, such as a wide one behind a port, it makes
+# up for them by its focal length and centre, which are then off by many times what is said of them. So a fuller lens is
+# fitted as well. Where that fits clearly better, focal length and centre are its, and the one term is what fits best
+# with these.
 
 
 class Intrinsics(NamedTuple):
@@ -125,6 +127,7 @@ class Intrinsics(NamedTuple):
     residual_px: float
     views: int
     sigma_px: tuple[float, float, float]  # standard deviations of f, cx and cy
+    fuller_px: float | None = None  # residual of a fuller lens, where f and the centre are of one
 
 
 def calibrate_camera(
@@ -145,6 +148,11 @@ def calibrate_camera(
         f"{fit.residual_px:.2f} px, distortion {bend_px:.1f} px in the corners; "
         f"standard deviations: f {f_sigma:.1f} px, centre {x_sigma:.1f} and {y_sigma:.1f} px"
     )
+    if fit.fuller_px is not None:
+        console.print(
+            f"this lens bends otherwise than one radial term says: f and centre are of a fuller one (residual "
+            f"{fit.fuller_px:.2f} px), and towards the picture's corners rays are less sure than these"
+        )
     if out is not None:
         sizes = {"width_px": fit.width_px, "height_px": fit.height_px}
         lens = {"f_px": fit.f_px, "cx_px": fit.cx_px, "cy_px": fit.cy_px, "noise_px": max(fit.residual_px, 0.05)}
@@ -224,14 +232,55 @@ def intrinsics(shots: Photographs, columns: int, rows: int, square_mm: float, pr
         )
     board = np.zeros((columns * rows, 3), np.float32)
     board[:, :2] = square_mm * np.mgrid[0:columns, 0:rows].T.reshape(-1, 2)
-    flags = cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_K3 | cv2.CALIB_FIX_ASPECT_RATIO
+    return of_corners(folder, board, found, size)
+
+
+def of_corners(folder: Path, board: Any, found: Sequence[Any], size: tuple[int, int]) -> Intrinsics:
+    """The lens that sees the board's corners (n, 3) where they were found in each view (n, 1, 2), px.
+
+    size: width and height. Raises ConfigError, as `intrinsics`, in the folder's name."""
     start = np.array([[size[0], 0, size[0] / 2], [0, size[0], size[1] / 2], [0, 0, 1]], float)
-    residual, matrix, distortion, turns, places = cv2.calibrateCamera(
-        [board] * len(found), found, size, start, np.zeros(5), flags=flags | cv2.CALIB_USE_INTRINSIC_GUESS
+    fit = _fitted(board, found, size, start, 0.0, PLAIN)
+    if fit.residual_px > MAX_RESIDUAL_PX:
+        raise ConfigError(f"{folder}: corners miss by {fit.residual_px:.1f} px; check --board and the focus")
+    sigma = max(fit.residual_px, NOISE_PX) * unit_sigma(board, *fit[1:])
+    _check_known(folder, sigma, fit.matrix, size)
+    try:
+        fuller = _fitted(board, found, size, fit.matrix, fit.k1, FULLER)
+    except cv2.error:  # its search has left the picture: these views tell nothing of more terms
+        fuller = fit
+    spare = 2 * len(board) * len(found) - 6 * len(found) - 4 - MORE
+    clearly = fit.residual_px**2 > (1.0 + CLEARLY * MORE / spare) * fuller.residual_px**2
+    if not clearly:
+        fuller = fit
+    else:
+        sigma = max(fuller.residual_px, NOISE_PX) * unit_sigma(board, *fuller[1:], more=True)
+        _check_known(folder, sigma, fuller.matrix, size)
+    f_px = math.sqrt(fuller.matrix[0, 0] * fuller.matrix[1, 1])
+    stretched = 0.5 * abs(fuller.matrix[0, 0] - fuller.matrix[1, 1])  # px, of the one that has to do for both
+    if stretched > MOST_SIGMA * f_px:
+        raise ConfigError(
+            f"{folder}: pictures are stretched: f is {fuller.matrix[0, 0]:.1f} px across and "
+            f"{fuller.matrix[1, 1]:.1f} px down; choose a size of the camera's that has square pixels"
+        )
+    if clearly:
+        given = np.array([[f_px, 0, fuller.matrix[0, 2]], [0, f_px, fuller.matrix[1, 2]], [0, 0, 1]])
+        fit = _fitted(board, found, size, given, fuller.k1, GIVEN)
+    return Intrinsics(
+        *size,
+        float(fit.matrix[0, 0]),
+        float(fit.matrix[0, 2]),
+        float(fit.matrix[1, 2]),
+        fit.k1,
+        fit.residual_px,
+        len(found),
+        (math.hypot(sigma[0], stretched), float(sigma[1]), float(sigma[2])),
+        fuller.residual_px if clearly else None,
     )
-    if residual > MAX_RESIDUAL_PX:
-        raise ConfigError(f"{folder}: corners miss by {residual:.1f} px; check --board and the focus")
-    sigma = max(residual, NOISE_PX) * unit_sigma(board, matrix, distortion, turns, places)
+
+
+def _check_known(folder: Path, sigma: Array, matrix: Any, size: tuple[int, int]) -> None:
+    """Raises ConfigError for views that leave focal length or centre open; sigma as of `unit_sigma`, px."""
     for what, share in (("focal length", sigma[0] / matrix[0, 0]), ("centre", sigma[1:3].max() / size[0])):
         if not share <= MOST_SIGMA:
             known = f"to {100 * share:.1f} %" if share < 0.2 else "at all"
@@ -239,31 +288,55 @@ def intrinsics(shots: Photographs, columns: int, rows: int, square_mm: float, pr
                 f"{folder}: these views do not determine the {what} {known}, and {100 * MOST_SIGMA:.1f} % is needed; "
                 f"{TILT}"
             )
-    return Intrinsics(
-        *size,
-        float(matrix[0, 0]),
-        float(matrix[0, 2]),
-        float(matrix[1, 2]),
-        float(distortion.ravel()[0]),
-        float(residual),
-        len(found),
-        (float(sigma[0]), float(sigma[1]), float(sigma[2])),
+
+
+FULLER = cv2.CALIB_FIX_K3 | cv2.CALIB_USE_INTRINSIC_GUESS  # k2, p1, p2 and the shape of a pixel beside k1
+PLAIN = FULLER | cv2.CALIB_ZERO_TANGENT_DIST | cv2.CALIB_FIX_K2 | cv2.CALIB_FIX_ASPECT_RATIO
+GIVEN = PLAIN | cv2.CALIB_FIX_FOCAL_LENGTH | cv2.CALIB_FIX_PRINCIPAL_POINT
+MORE = 4  # unknowns of the fuller lens
+CLEARLY = 10.0  # Fisher's F of them: 1 where they tell nothing, and by chance above 5 in one calibration of a thousand
+
+
+class _Fitted(NamedTuple):
+    residual_px: float
+    matrix: Any
+    distortion: Any
+    turns: Sequence[Any]
+    places: Sequence[Any]
+
+    @property
+    def k1(self) -> float:
+        return float(self.distortion.ravel()[0])
+
+
+def _fitted(board: Any, found: Sequence[Any], size: tuple[int, int], start: Any, k1: float, flags: int) -> _Fitted:
+    bends = np.array([k1, 0.0, 0.0, 0.0, 0.0])
+    boards = [board] * len(found)
+    residual, matrix, distortion, turns, places = cv2.calibrateCamera(
+        boards, found, size, start.copy(), bends, flags=flags
     )
+    return _Fitted(float(residual), matrix, distortion, turns, places)
 
 
 ROUNDING = 1e-9  # of the largest: what is less in a normal matrix is none
 
 
-def unit_sigma(board: Any, matrix: Any, distortion: Any, turns: Sequence[Any], places: Sequence[Any]) -> Array:
+def unit_sigma(
+    board: Any, matrix: Any, distortion: Any, turns: Sequence[Any], places: Sequence[Any], more: bool = False
+) -> Array:
     """Standard deviations of f, cx, cy and k1 for corners that err by a pixel; infinite where they are not determined.
+
+    more: of the fuller lens, of which those of pixels' shape, k2, p1 and p2 follow.
 
     The board's pose in each view is taken out of the normal equations by itself (Schur complement): what it can undo
     says nothing. OpenCV's own figures come of a pseudo-inverse, which makes what is not determined look certain.
     """
-    normal = np.zeros((4, 4))
+    normal = np.zeros((4 + more * MORE,) * 2)
     for turn, place in zip(turns, places, strict=True):
         J = cv2.projectPoints(board, turn, place, matrix, distortion)[1]
         lens = np.column_stack([J[:, 6] + J[:, 7], J[:, 8], J[:, 9], J[:, 10]])
+        if more:
+            lens = np.column_stack([lens, J[:, 6] - J[:, 7], J[:, 11:14]])
         pose, _ = np.linalg.qr(J[:, :6])
         left = lens - pose @ (pose.T @ lens)
         normal += left.T @ left
@@ -451,149 +524,3 @@ def _of_returns(J: Array, normal: Array, view: NDArray[np.intp], return_rad: flo
 def _times(a: Array, b: Array) -> Array:
     out: Array = (a[:, :, None] * b[None]).sum(axis=1)
     return out
-
-
-# --- `aucamp calibrate gamma` ---
-# `aucamp calibrate gamma`: how a camera codes light, from tags that it sees out of focus.
-#
-# Blur spreads light evenly to both sides of an edge. So along a line across a black edge on white the light is half-
-# way up where the centroid of its gradient is. Where bytes are made light by a wrong gamma the two come apart, the
-# farther the wider the blur. Paper, lamp and the water's veil scale light and add to it, which moves neither.
-
-LEAST, MOST = 0.6, 4.0  # gammas that are looked at
-NARROWEST_BLUR_PX = 3.0  # diameter: a narrower edge is lopsided by less than its noise
-WIDEST_BLUR = 0.6  # of a module: beyond it the code's blur comes within REACH of the border's edge
-REACH = 0.5  # of a module to either side of the edge
-PLATEAU = 0.1  # of a module: at either end, where no blur comes
-PROFILES, FIRST, LAST = 41, 0.1, 0.9  # across each edge, from this to that share of its length
-STEP_PX = 0.25
-DARKEST, BRIGHTEST = 2.0, 250.0  # mean bytes of black and paper: beyond these light was cut off
-FEWEST = 8  # tags: their scatter is what the answer's uncertainty is made of
-ROUGHEST = 0.1  # standard deviation of the answer: twice as much moves corners by 0.1 px at a blur of 6 px
-BISECTIONS = 20
-
-
-class Gamma(NamedTuple):
-    gamma: float
-    sigma: float  # standard deviation
-    tags: int
-    pictures: int  # that showed them
-    blur_px: tuple[float, float]  # diameters, from .. to
-
-
-def calibrate_gamma(folder: Path, out: Path | None, console: Console) -> Gamma:
-    """Fit, print, and put the result into [camera] of `out` if given. Raises ConfigError, one line."""
-    kept = check_file(out).get("camera") if out is not None else None
-    if out is not None and kept is None:
-        raise ConfigError(f"{out}: has no table [camera] that a gamma could go to; make it by aucamp calibrate camera")
-    shots = Photographs(folder)
-    fit = with_bar(console, "looking for blurred tags", lambda show: gamma_of_folder(shots, show))
-    for line in shots.said:
-        console.print(line)
-    low, high = fit.blur_px
-    console.print(
-        f"gamma {fit.gamma:.2f} +- {fit.sigma:.2f}, from {fit.tags} tags in {fit.pictures} pictures, "
-        f"blurred by {low:.0f} to {high:.0f} px"
-    )
-    if out is not None and kept is not None:
-        console.print(put(out, "camera", {**kept, "gamma": round(fit.gamma, 3)}, folder))
-    return fit
-
-
-def gamma_of_folder(shots: Photographs, progress: Progress) -> Gamma:
-    """The gamma of all pictures of a folder. Progress counts pictures. Raises ConfigError where they cannot say it."""
-    folder = shots.folder
-    gammas, blurs_px, showing = [], [], 0
-    for _, image in shots.read(progress):
-        found = gammas_of_picture(image)
-        gammas += [gamma for gamma, _ in found]
-        blurs_px += [blur_px for _, blur_px in found]
-        showing += bool(found)
-    if len(gammas) < FEWEST:
-        raise ConfigError(
-            f"{folder}: {len(gammas)} tags are blurred by {NARROWEST_BLUR_PX:.0f} px to {WIDEST_BLUR} of a module and "
-            f"neither black nor burnt out; {FEWEST} are needed: take more pictures, with the lens out of focus"
-        )
-    middle = float(np.median(gammas))
-    # of a median: pi/2 of the variance of a mean
-    sigma = 1.25 * 1.48 * float(np.median(np.abs(np.subtract(gammas, middle)))) / len(gammas) ** 0.5
-    if sigma > ROUGHEST:
-        raise ConfigError(
-            f"{folder}: the tags say {middle:.2f} +- {sigma:.2f}, which is too rough; take larger tags and more light, "
-            "and switch the camera's sharpening and contrast curve off"
-        )
-    return Gamma(middle, sigma, len(gammas), showing, (min(blurs_px), max(blurs_px)))
-
-
-def gammas_of_picture(image: Image) -> list[tuple[float, float]]:
-    """(gamma, diameter of the blur in px) that each tag of a picture says which can say one."""
-    plane, out = green(image), []
-    for one in all_tags(image, plain_camera(image)):
-        module = module_px(one.corners_px)
-        if one.blur_px is None or not NARROWEST_BLUR_PX <= one.blur_px <= WIDEST_BLUR * module:
-            continue
-        gamma = gamma_of_square(plane, one.corners_px, module)
-        if gamma is not None:
-            out.append((gamma, one.blur_px))
-    return out
-
-
-def gamma_of_square(plane: Plane, corners_px: Array, module: float) -> float | None:
-    """The gamma at which the edges of a black square are blurred evenly to both sides.
-
-    plane: (height, width) bytes. corners_px: (4, 2), clockwise as seen. None where light was cut off, an edge leaves
-    the picture, or no gamma makes them even.
-    """
-    offsets_px = np.arange(-REACH * module, REACH * module + STEP_PX / 2, STEP_PX)
-    edges = [_samples(plane, corners_px[k], corners_px[(k + 1) % 4], offsets_px) for k in range(4)]
-    if any(each is None for each in edges):
-        return None
-    flat = max(int(PLATEAU * module / STEP_PX), 2)
-
-    def lopsided_px(gamma: float) -> float:
-        light = light_of_bytes(gamma)
-        profiles = [(light[each.bytes] * each.weights).sum(axis=0).mean(axis=0) for each in edges if each is not None]
-        return float(np.mean([_lopsided_px(profile, offsets_px, flat) for profile in profiles]))
-
-    linear = [(each.bytes * each.weights).sum(axis=0).mean(axis=0) for each in edges if each is not None]
-    if any(each[:flat].mean() < DARKEST or each[-flat:].mean() > BRIGHTEST for each in linear):
-        return None
-    low, high = LEAST, MOST
-    if not lopsided_px(low) * lopsided_px(high) < 0.0:
-        return None
-    at_low = lopsided_px(low)
-    for _ in range(BISECTIONS):
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if lopsided_px(middle) * at_low > 0.0 else (low, middle)
-    return 0.5 * (low + high)
-
-
-class _Samples(NamedTuple):
-    bytes: Array  # (4, PROFILES, n): of the pixels around each place
-    weights: Array  # the same shape: how much of each is in it
-
-
-def _samples(plane: Plane, start: Array, end: Array, offsets_px: Array) -> _Samples | None:
-    """Where PROFILES lines cross an edge, outwards: the square is on the right of who goes from start to end."""
-    along = end - start
-    outwards = np.array([along[1], -along[0]]) / np.hypot(*along)
-    share = np.linspace(FIRST, LAST, PROFILES)[:, None, None]
-    place = start + share * along + offsets_px[None, :, None] * outwards
-    height, width = plane.shape
-    if place.min() < 0.0 or (place.max(axis=(0, 1)) > (width - 2, height - 2)).any():
-        return None
-    corner = place.astype(int)
-    u, v = np.moveaxis(place - corner, -1, 0)
-    x, y = np.moveaxis(corner, -1, 0)
-    around = np.stack([plane[y, x], plane[y, x + 1], plane[y + 1, x], plane[y + 1, x + 1]])
-    return _Samples(around, np.stack([(1 - u) * (1 - v), u * (1 - v), (1 - u) * v, u * v]))
-
-
-def _lopsided_px(profile: Array, offsets_px: Array, flat: int) -> float:
-    """How far the centroid of a step's gradient is outwards of where the step is half-way up."""
-    black, white = profile[:flat].mean(), profile[-flat:].mean()
-    risen = (profile - black) / (white - black)
-    centroid = offsets_px[-1] - float(np.trapezoid(risen, offsets_px))
-    k = int(np.argmax(risen >= 0.5))
-    half = offsets_px[k] - (risen[k] - 0.5) / (risen[k] - risen[k - 1]) * STEP_PX
-    return float(centroid - half)

@@ -51,7 +51,7 @@ HUBER_SHARE = 0.778  # what that leaves of the variance of Gaussian residuals
 PASSES = 25
 FIELD_KNOWN = 0.1  # of a peak's half width, standard deviation of its shift anywhere: 10 mm at half a metre
 FIELD_UNTOLD = "these peaks do not tell the field from the curve: take each sweep all over the picture"
-SURE_DISTANCES = 8  # of fewer, drawn, one curve in six is off by more than two of its sigmas
+SURE_DISTANCES = 8  # of fewer, how sure the curve is said to be is itself hardly known
 FIELD_PASSES = 4  # over curve and field in turn
 NOISE_FLOOR = 5e-5  # of the positions' span: half a tenth of a step for a driver of 10 bits, none repeats better
 
@@ -73,8 +73,9 @@ class CalibrationRefused(Failed):
 def fit_focus(rows: Sequence[FocusRow]) -> FocusFit:
     """u = u_inf + b / (rho - rho0) through the rows, by least squares in rho. Raises CalibrationRefused.
 
-    Its covariance is that of distances, not of rows: what a tape has wrong is alike in all peaks at one distance. Of
-    few of them it is as much wider as Student's t is than the normal distribution, at 95 %.
+    Its covariance says how far leaving out a distance moves it (the jackknife, Tukey 1958): what a tape has wrong is
+    alike in all peaks at one, and the nearer, the more lens positions. Of few it is as much wider as Student's t is
+    than the normal distribution, at 95 %.
     """
     u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
     tape_m = np.array([row.tape_m or row.u_m for row in rows])
@@ -94,17 +95,17 @@ def fit_focus(rows: Sequence[FocusRow]) -> FocusFit:
         raise CalibrationRefused("the pole of the fit lies inside the measurements; check the table for wrong peaks")
     residual = trust * (travel - p[1] / (u - p[0]))
     noise = max(scale(weights * residual, 3), NOISE_FLOOR * float(np.ptp(rho)))
-    at = np.searchsorted(distances, tape_m)
-    together = np.bincount(at, weights * residual) / np.sqrt(np.bincount(at))  # as one row of each distance has it
-    free = len(distances) - 3
-    wide = max(noise, math.sqrt(float(together @ together) / free)) * float(stdtrit(free, 0.975) / ndtri(0.975))
-    error_m = p[0] + p[1] / travel - u
-    held_out_m = np.concatenate([_held_out_m(u, rho, trust, tape_m == distance) for distance in distances])
+    without = [_held_out(u, rho, trust, tape_m == distance) for distance in distances]
+    error_m, held_out_m = p[0] + p[1] / travel - u, np.concatenate([error_m for _, error_m in without])
+    free, moved = len(distances) - 3, np.stack([other - p for other, _ in without], axis=1)
+    wider = float(stdtrit(free, 0.975) / ndtri(0.975))
+    C = wider**2 * (1.0 - 1.0 / len(distances)) * _products(moved, np.ones(len(distances)))
+    C += (NOISE_FLOOR * float(np.ptp(rho))) ** 2 * solve(normal, np.eye(3))
     return FocusFit(
         u_inf_m=float(p[0]),
         b_m=float(p[1]),
         rho0=float(p[2]),
-        covariance=upper(wide * wide * solve(normal, np.eye(3))),
+        covariance=upper(C),
         noise=noise,
         width=float(np.median([row.width for row in rows])),
         lowest=math.floor(rho.min()),
@@ -159,7 +160,7 @@ def leave_one_out(rows: Sequence[FocusRow]) -> list[LeftOut]:
     """Per distance, not per row: the rows of one distance share the error of its tape measure."""
     u, rho, sigma = (np.array([row[i] for row in rows], float) for i in (0, 1, 3))
     tape_m, trust = np.array([row.tape_m or row.u_m for row in rows]), float(np.median(sigma)) / sigma
-    errors = ((d, _held_out_m(u, rho, trust, tape_m == d)) for d in sorted({*tape_m.tolist()}))
+    errors = ((d, _held_out(u, rho, trust, tape_m == d)[1]) for d in sorted({*tape_m.tolist()}))
     return [LeftOut(d, math.sqrt(float((e * e).mean()))) for d, e in errors]
 
 
@@ -260,11 +261,11 @@ def _products(J: Array, weights: Array) -> Array:
     return products
 
 
-def _held_out_m(u: Array, rho: Array, trust: Array, out: NDArray[np.bool_]) -> Array:
-    """Errors in range of the rows that are out, from the fit to all the others."""
+def _held_out(u: Array, rho: Array, trust: Array, out: NDArray[np.bool_]) -> tuple[Array, Array]:
+    """The fit to all rows but those that are out, and their errors in range from it."""
     p, _, _ = _hyperbola(u[~out], rho[~out], trust[~out])
     error: Array = p[0] + p[1] / (rho[out] - p[2]) - u[out]
-    return error
+    return p, error
 
 
 # --- the fit of how late frames are stamped, and how slowly the lens goes ---

@@ -23,6 +23,7 @@ from tests.reconstruction.drawn import drawn_view, plane_depth
 STRAIGHT = Camera(154.0, 55.5, 41.5, 0.0, 0.0, 112, 84)
 NOTHING = Mesh(np.zeros((0, 3)), np.zeros((0, 3), np.int32), *(np.zeros((0, 3), np.float32),) * 2,
                np.zeros(0, np.float32), np.zeros(0, np.uint8))  # fmt: skip
+AWAY = 5e5, 4e6, -30.0
 UNIT = 20.0  # of a scene that is not in metres: what is 0.5 m away is 10
 
 
@@ -112,20 +113,37 @@ def test_a_floor_from_pictures_alone(folder: Path, tmp_path: Path) -> None:
     assert figures["views"] == 5 and not {"area_m2", "size_m", "sigma_mm"} & figures.keys(), "nobody knows the unit"
     assert figures["size_units"] == pytest.approx(np.ptp(result.built.mesh.vertices_m, axis=0), rel=1e-3)
     assert result.figures["image"]["psnr_held_back_db"] is None or result.figures["image"]["psnr_held_back_db"] > 15
-    assert (out / "surface.ply").exists()
+    head = (out / "surface.ply").read_bytes().partition(b"end_header")[0].decode()
+    assert "comment aucamp, units and axes of the scene\n" in head and "float sigma\n" in head and "origin" not in head
 
 
-def test_one_known_length_makes_metres(folder: Path, tmp_path: Path) -> None:
-    """The scene is UNIT times as large as it was drawn."""
+def test_one_known_length_makes_metres_and_a_scene_far_from_zero_keeps_its_shape(folder: Path, tmp_path: Path) -> None:
+    """UNIT times as large as it was drawn, and as far away as map coordinates: files say what they count from."""
+    data = json.loads((folder / "transforms.json").read_text())
+    for frame in data["frames"]:
+        for k, away in enumerate(AWAY):
+            frame["transform_matrix"][k][3] += away
+    (folder / "transforms.json").write_text(json.dumps(data))
     views = transforms_views(folder, quiet).views
     apart_m = float(np.linalg.norm(views[0].position_m - views[3].position_m)) / UNIT
     names = [frame.file_path for frame in read_transforms(folder / "transforms.json").frames]
     length = parse_length(f"{names[0]},{Path(names[3]).stem},{apart_m}")
     assert unit_m(folder, length) == pytest.approx(1.0 / UNIT)
-    (tmp_path / "out").mkdir()
-    asked = Settings(transforms=folder, length=length, video=False, cell_m=0.01)
-    figures = run(asked, tmp_path / "out", quiet).figures
-    assert 0.2 < figures["size_m"][0] < 2.0 and "size_units" not in figures
+    (out := tmp_path / "out").mkdir()
+    kinds = ("ply", "colmap", "transforms.json")
+    result = run(Settings(transforms=folder, length=length, video=False, cell_m=0.01, exports=kinds), out, quiet)
+    assert 0.2 < result.figures["size_m"][0] < 2.0 and "size_units" not in result.figures
+    origin = result.figures["origin_m"]
+    heights = result.built.mesh.vertices_m[:, 2] + origin[2] - AWAY[2] / UNIT
+    assert np.median(np.abs(heights)) < 2e-3 and np.abs(result.built.mesh.vertices_m).max() < 3.0
+    np.testing.assert_allclose(origin[:2], np.array(AWAY[:2]) / UNIT, atol=1.0)
+    head = (out / "surface.ply").read_bytes().partition(b"end_header")[0].decode()
+    assert "comment aucamp, metres, axes of the scene\ncomment origin 25000.0 199999." in head
+    assert "origin" in result.notes[-1] and (out / "colmap/sparse/0/images.txt").read_text().startswith(
+        "# origin 25000.0"
+    )
+    applied = json.loads((out / "nerfstudio" / "transforms.json").read_text())["applied_transform"]
+    assert [row[3] for row in applied] == [-one for one in origin]
 
 
 @pytest.mark.parametrize(
@@ -146,14 +164,25 @@ def test_a_length_that_says_nothing_is_one_line(folder: Path, text: str, why: st
     assert "\n" not in str(error.value)
 
 
-def test_a_bent_lens_is_straightened(folder: Path) -> None:
-    file = folder / "transforms.json"
-    data = json.loads(file.read_text())
-    for frame in data["frames"]:
-        frame["k1"] = 0.2
-    file.write_text(json.dumps(data))
-    views: list[View] = transforms_views(file, quiet).views
-    assert views[0].camera.bend == 0.0
+@pytest.mark.parametrize("bend", [0.5, -0.3])
+def test_a_bent_lens_is_straightened_without_a_border(tmp_path: Path, bend: float) -> None:
+    """All of what is left shows what a straight lens would have seen; of a barrel lens all pixels are."""
+    floor = partial(plane_depth, normal=np.array([0.0, 0.0, 1.0]), offset=0.0)
+    place = (0.0, -0.35, 0.42), (0.0, 0.0, 0.0), floor
+    write_transforms([drawn_view(0, *place, camera=STRAIGHT._replace(bend=bend))], NOTHING, tmp_path / "scene")
+    (view,) = transforms_views(tmp_path / "scene", quiet).views
+    assert view.camera.bend == 0.0 and view.picture.shape[:2] == (view.camera.height, view.camera.width)
+    kept = view.camera.width * view.camera.height / (STRAIGHT.width * STRAIGHT.height)
+    assert kept == 1.0 if bend < 0.0 else 0.75 < kept < 0.95
+    true = drawn_view(0, *place, camera=view.camera).picture
+    off = np.abs(view.picture - true)
+    rim = np.concatenate([off[[0, -1]].ravel(), off[:, [0, -1]].ravel()])
+    assert off.mean() < 0.03 and rim.mean() < 0.03
+
+
+def test_a_lens_that_leaves_no_picture_is_one_line(folder: Path) -> None:
+    with pytest.raises(ConfigError, match="next to nothing of its picture is left"):
+        transforms_views(changed(folder, fl_x=154.0, fl_y=154.0, cx=900.0, cy=42.0, k1=5.0), quiet)
 
 
 @pytest.mark.parametrize("broken", ["{", '{"frames": [{"file_path": "a.png"}]}', '{"frames": 3}'])
@@ -254,19 +283,24 @@ def bent_by_a_fisheye(image: np.ndarray, k1: float) -> np.ndarray:
     return cv2.remap(image, (cx + f * x * grow).astype(np.float32), (cy + f * y * grow).astype(np.float32), 1)
 
 
+def inner(view: View) -> np.ndarray:
+    """Of the picture what lies about its optical axis, which a straightened one need not have in its middle."""
+    x, y = round(view.camera.cx_px + 0.5), round(view.camera.cy_px + 0.5)
+    return view.picture[y - 22 : y + 22, x - 36 : x + 36]
+
+
 @pytest.mark.parametrize("words", [{"camera_model": "OPENCV_FISHEYE"}, {"is_fisheye": True}])
 def test_a_fisheye_is_straightened_by_its_own_rule(folder: Path, words: dict) -> None:
-    straight = transforms_views(folder, quiet).views[0].picture
+    straight = transforms_views(folder, quiet).views[0]
     for path in (folder / "images").iterdir():
         cv2.imwrite(str(path), bent_by_a_fisheye(cv2.imread(str(path)), 0.5))
-    inner = (slice(20, -20), slice(20, -20))
     apart = {}
     for name, entries in (
         ("fisheye", {**words, "k1": 0.5}),
         ("plain", {"camera_model": "OPENCV", "is_fisheye": False}),
     ):
-        there = transforms_views(changed(folder, **entries), quiet).views[0].picture
-        apart[name] = float(np.abs(there - straight)[inner].mean())
+        there = transforms_views(changed(folder, **entries), quiet).views[0]
+        apart[name] = float(np.abs(inner(there) - inner(straight)).mean())
     assert apart["fisheye"] < 0.5 * apart["plain"]
 
 

@@ -12,7 +12,14 @@ from rich.console import Console
 
 from agent.cli.pictures import as_board
 from agent.core.config import ConfigError, read_toml
-from agent.tools.camera_calibration import board_figure, board_picture, calibrate_camera, print_board, unit_sigma
+from agent.tools.camera_calibration import (
+    board_figure,
+    board_picture,
+    calibrate_camera,
+    of_corners,
+    print_board,
+    unit_sigma,
+)
 
 F, CX, CY = 820.0, 330.0, 232.0
 QUIET = Console(quiet=True)
@@ -45,7 +52,7 @@ def test_known_intrinsics_come_back(folder: Path, tmp_path: Path) -> None:
     fit = calibrate_camera(folder, 9, 6, 25.0, out, QUIET)
     off = np.abs(np.array([fit.f_px - F, fit.cx_px - CX, fit.cy_px - CY]))
     assert (off < 3.0 * np.array(fit.sigma_px)).all() and off[0] < 0.001 * F
-    assert fit.residual_px < 0.15
+    assert fit.residual_px < 0.15 and fit.fuller_px is None
     assert 0.2 < fit.sigma_px[0] < 2.0 and max(fit.sigma_px[1:]) < 1.0
     content = read_toml(out)
     assert content["camera"]["f_px"] == fit.f_px
@@ -119,6 +126,37 @@ def test_what_is_said_of_its_errors_is_what_they_are(folder: Path) -> None:
         found.append((matrix[0, 0], matrix[0, 2], matrix[1, 2]))
     said = 0.2 * unit_sigma(board, K, straight, turns, places)[:3]
     assert np.std(found, axis=0) == pytest.approx(said, rel=0.35)
+
+
+def corners_of(f_px: tuple[float, float], bends: tuple[float, ...]) -> tuple[np.ndarray, list]:
+    """A board, and where a lens of k1, k2, p1 and p2 sees it in 14 views, corners 0.1 px off."""
+    board = np.zeros((54, 3), np.float32)
+    board[:, :2] = 25.0 * np.mgrid[0:9, 0:6].T.reshape(-1, 2)
+    K, dice, views = np.array([[f_px[0], 0, CX], [0, f_px[1], CY], [0, 0, 1]]), np.random.default_rng(7), []
+    while len(views) < 14:
+        turn, z = np.radians(dice.uniform(-35, 35, 3)), dice.uniform(300.0, 800.0)
+        place = z * np.array([dice.uniform(-0.4, 0.4), dice.uniform(-0.3, 0.3), 1.0])
+        place -= cv2.Rodrigues(turn)[0] @ board.mean(axis=0)
+        px = cv2.projectPoints(board, turn, place, K, np.array(bends))[0]
+        if (px > 5).all() and (px < (635, 475)).all():
+            views.append((px + dice.normal(0.0, 0.1, px.shape)).astype(np.float32))
+    return board, views
+
+
+@pytest.mark.parametrize(
+    ("bends", "fuller"),
+    [((0.25, 0.0, 0.0, 0.0), False), ((-0.35, 0.15, 0.0, 0.0), True), ((-0.1, 0.0, 0.004, -0.003), True)],
+)
+def test_a_lens_that_one_term_does_not_describe_is_as_sure_as_it_says(bends: tuple[float, ...], fuller: bool) -> None:
+    fit = of_corners(Path("photographs"), *corners_of((500.0, 500.0), bends), (640, 480))
+    off = np.abs(np.array([fit.f_px - 500.0, fit.cx_px - CX, fit.cy_px - CY]))
+    assert (off < 2.5 * np.array(fit.sigma_px)).all() and max(fit.sigma_px) < 1.6
+    assert (fit.fuller_px is not None) == fuller
+
+
+def test_pictures_that_are_stretched_are_refused() -> None:
+    with pytest.raises(ConfigError, match=r"stretched: f is 500\.\d px across and 50[678]\.\d px down"):
+        of_corners(Path("photographs"), *corners_of((500.0, 507.0), (-0.1, 0.0, 0.0, 0.0)), (640, 480))
 
 
 def test_a_square_in_another_unit_is_a_warning(capsys: pytest.CaptureFixture) -> None:

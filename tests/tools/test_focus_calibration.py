@@ -535,6 +535,18 @@ def test_a_curve_is_as_sure_as_it_says_by_few_distances_and_by_a_tape_that_is_of
         assert np.mean(np.abs(pulls) > 2.0) < 0.12 and np.mean(np.abs(pulls) > 0.3) > 0.3
 
 
+def test_a_curve_is_as_sure_as_it_says_near_by_where_a_tape_is_off_by_many_lens_positions() -> None:
+    """40 tables of eight distances, three peaks each."""
+    rng, read_m, pulls = np.random.default_rng(4), np.geomspace(0.22, 1.2, 8), []
+    for _ in range(40):
+        true_m = np.repeat(read_m + rng.normal(0.0, 0.003, 8), 3)
+        rho = 10.0 / (true_m - 0.03) - 5.0 + rng.normal(0.0, 0.1, 24)
+        fit = fit_focus([FocusRow(float(u), float(r), 8.0) for u, r in zip(np.repeat(read_m, 3), rho, strict=True)])
+        at = 10.0 / (0.3 - 0.03) - 5.0
+        pulls.append((h(fit, at) - 0.3) / math.sqrt(range_variance(fit, at, 0.0)[1]))
+    assert np.mean(np.abs(pulls) > 2.0) < 0.2 and np.std(pulls) > 0.4
+
+
 def test_places_of_one_sweep_share_their_tape_behind_a_port_too() -> None:
     """What a port makes of one distance differs from place to place; how far the board stood was measured once."""
     rng, at_m = np.random.default_rng(4), (0.4, 0.6, 0.9)

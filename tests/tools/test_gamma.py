@@ -8,7 +8,8 @@ from rich.console import Console
 
 from agent.core.config import ConfigError, read_toml
 from agent.core.ranging.camera_model import CameraFit
-from agent.tools.camera_calibration import Photographs, calibrate_gamma, gamma_of_folder
+from agent.tools.camera_calibration import Photographs
+from agent.tools.tags import calibrate_gamma, gamma_of_folder
 from tests.perception.printed import WALL, photograph, tag_light, turned
 
 CAMERA = CameraFit(width_px=480, height_px=400, f_px=1184.0, cx_px=239.5, cy_px=199.5, bend=0.39)
