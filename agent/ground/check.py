@@ -28,6 +28,7 @@ from agent.ground.check_files import (
     liar_findings,
     links,
     loopback_findings,
+    odd_findings,
     place_findings,
     target_findings,
     tried,
@@ -261,7 +262,7 @@ def before_dive(fleet: Fleet, name: str, path: Path, folder: Path) -> str | None
     """What will go wrong in a dive of this robot though its agent starts, in one line; None: nothing is known to.
     `folder`: where it records."""
     found = (
-        *calibration_findings(fleet, name, path),
+        *odd_findings(fleet, name, path),
         *running_findings(fleet, name, path),
         *computer_findings([name], folder),
     )

@@ -175,11 +175,16 @@ def calibration_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Findin
         else:
             yield Finding("wrong", name, str(error))
         return
-    told = fleet.robot[name].calibration
-    doubts = [*focus_doubts(made.focus), *camera_doubts(made.camera)]
-    yield from (Finding("warning", name, f"{told}: {doubt}; calibrate again") for doubt in doubts)
-    if not doubts:
-        yield Finding("ok", name, f"{told}, made {made.made}")
+    odd = list(odd_findings(fleet, name, path))
+    yield from odd or [Finding("ok", name, f"{fleet.robot[name].calibration}, made {made.made}")]
+
+
+def odd_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
+    """What is hardly meant in a calibration that can be read."""
+    with contextlib.suppress(ConfigError):
+        made = own_calibration(fleet, name, path)
+        for doubt in (*focus_doubts(made.focus), *camera_doubts(made.camera)):
+            yield Finding("warning", name, f"{fleet.robot[name].calibration}: {doubt}; calibrate again")
 
 
 def focus_doubts(focus: FocusFit | None) -> Iterator[str]:

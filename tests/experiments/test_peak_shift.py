@@ -12,11 +12,12 @@ from tests.bench.pictures import bench_peak_shift as claim
 from tests.bench.pictures.bench_peak_shift import Settings, shifts
 
 
-def test_a_way_that_does_nothing_moves_nothing_and_one_that_turns_the_gain_does(monkeypatch):
-    """A gain that rises over the sweep pulls every peak to its end."""
+def test_a_way_that_does_nothing_moves_nothing_and_one_that_turns_the_contrast_does(monkeypatch):
+    """A contrast that rises over the sweep pulls every peak to its end. Of light that rises maps take it out."""
 
     def rising(sweep):
-        return [np.uint8(image * (0.8 + 0.2 * k / len(sweep))) for k, image in enumerate(sweep)]
+        shares = 0.8 + 0.2 * np.arange(len(sweep)) / len(sweep)
+        return [np.uint8(image.mean() + k * (image - image.mean())) for k, image in zip(shares, sweep, strict=True)]
 
     monkeypatch.setattr(claim, "ways", lambda: {"classic": lambda sweep: sweep, "fast": rising})
     still, moved = rows = claim.run(0, "tap", Settings(views=1))
