@@ -106,7 +106,7 @@ def replay_report(
         Path | None, typer.Option(help="File to write; report.html in the folder, or report.2.html and so on.")
     ] = None,
 ) -> None:
-    """One page with the run's figures: report.html in its folder."""
+    """One page with the run's figures, beside those that are there."""
     from agent.perception.depth_sweep import sweep_depth
     from replay.files.recover import auto_recovered
     from replay.report.report import page_of, report

@@ -62,6 +62,7 @@ from agent.process.keys import VARIABLE
 from agent.process.launch import Crew, crew, free_ports, is_free, wait_for
 from agent.process.transport import Observer, fleet_clock
 from agent.robot.fleet_reader import load_fleet
+from hw.twin.dive import playable
 from hw.twin.scene import scene_of, target_creatures, target_solids
 from hw.twin.twin_folder import twin_dir
 
@@ -93,6 +94,7 @@ def demo_fleet(
     names = _first(fleet, robots, path)
     _lives_in_the_twin(fleet, names, path)
     _has_its_targets(fleet, path)
+    playable(fleet, scene_of(fleet), names)
     if fleet.coverage is not None and len(names) == 1:
         raise ConfigError(
             f"{path.name}: a survey is judged by what robots tell each other of it, so that it takes two; --robots 2"

@@ -26,6 +26,7 @@ from cryptography.exceptions import InvalidSignature
 
 from agent.core.config import ConfigError, Fleet, Goto, Target, numbers_in, to_install, unit_of
 from agent.core.estimation.fuse import PAIRS
+from agent.core.estimation.protocols import pursued
 from agent.core.ranging.camera_model import CameraFit, FocusFit
 from agent.core.ranging.focus import FARTHEST_M, h
 from agent.core.step_transaction import SURFACE_M
@@ -48,6 +49,7 @@ from agent.process.keys import keys_folder, private_file, read_keys, robot_keys
 from agent.process.launch import addresses_of, bind_error
 from agent.robot.fleet_reader import host_and_port
 from hw.camera.camera import CameraError
+from hw.twin.dive import playable
 from hw.twin.scene import scene_of, target_solids
 from replay.files.log import Limits
 
@@ -259,6 +261,10 @@ def target_findings(fleet: Fleet) -> Iterator[Finding]:
             found = tried(f"target {name}", partial(sample, name, target, size))
             balls_can_be_read &= found.level == "ok"
             yield found
+    swim = [name for name, target in fleet.target.items() if target.speed_m_s is not None]
+    for name in (name for name in swim if name not in pursued(fleet)):
+        text = f'target.{name}: swims, and robots take no bearings of it: that takes protocol = "evidence" and a robot'
+        yield Finding("warning", "fleet", f"{text} that follows or searches for it")
     if balls_can_be_read:
         yield from (Finding("warning", "fleet", line) for line in colours_too_alike(fleet))
 
@@ -285,6 +291,7 @@ UNITS = {"m": "metres", "deg": "degrees", "us": "microseconds", "s": "seconds", 
 BESIDE_M = 0.1  # between the middles of two robots: nearer, one is where the other is
 RING_M = 0.34  # across the thrusters of a robot
 TURN_DEG = 360.0
+LEAST_TURN_DEG = 10.0  # of a gimbal from one end to the other
 WATER_INDEX = 1.3  # less than any water has
 UNDER_M = 0.08  # what a robot has below its middle: half of the hull in the twin
 MIRRORED = frozenset({186, 314, 487, 548})  # tags that read as another in the mirror of the surface
@@ -316,6 +323,12 @@ def unit_findings(fleet: Fleet) -> Iterator[Finding]:
         do = f"write {unit}" if (unit := UNITS.get(unit_of(key))) else "correct it"
         yield Finding("warning", "fleet", f"{key}: {first:g}; {least:g} to {most:g} are usual: {do}")
     yield from yaw_findings(fleet)
+    for axis, (least, most) in (("pan", fleet.body.pan_limit_deg), ("tilt", fleet.body.tilt_limit_deg)):
+        if most - least < LEAST_TURN_DEG:
+            text = (
+                f"body.{axis}_limit_deg: {least:g} to {most:g} leave {most - least:.3g} degrees in all: write degrees"
+            )
+            yield Finding("warning", "fleet", text)
     if fleet.water.kind != "air" and (index := fleet.water.refractive_index) < WATER_INDEX:
         text = f"water.refractive_index: {index:g} is no water's; remove it, 1.333 is meant then"
         yield Finding("warning", "fleet", text)
@@ -411,6 +424,7 @@ def twin_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:
                 f"nothing in scene '{scene.name}' is called {name}, so that a demo could not judge it; write "
                 f'name = "{name}" under a [[solid]] or [[creature]] of the scene'
             )
+        playable(fleet, scene, [name for name, robot in fleet.robot.items() if robot.serial.startswith("twin:")])
         return f"scene '{scene.name}', in which all targets are"
 
     yield tried("twin", read)

@@ -247,6 +247,8 @@ def run(
     found = pictures(source, frames, of_camera=FRAMES, upright=True)
     if one and not (found.total == 1 and found.kind == "images" and out.suffix.lower() == ".png"):
         raise ConfigError(f"--out {out}: is the name of one picture; give a folder, or for one picture a NAME.png")
+    first = next(found.each)  # there is one, or the walk has said why not
+    found = found._replace(each=itertools.chain((first,), found.each))
     way = enhancer(variant, weights, BUDGET_MS if found.kind == "camera" else None)
     if way.why:
         console.print(f"{way.variant}: {way.why}")

@@ -301,10 +301,8 @@ class School:
     """Empty for a scene without creatures. Raises ConfigError for a creature that has no room in the water."""
 
     def __init__(self, creatures: Sequence[Creature], seed: int, size_m: Vector, solids: Sequence[Solid]) -> None:
+        check_creatures(creatures, size_m)
         self.creatures = tuple(creatures)
-        names = [creature.name for creature in creatures]
-        for creature in creatures:
-            _check(creature, names, size_m)
         self._water = Water(size_m, _stones(solids))
         self._swimmers = {creature.name: Swimmer(creature, seed, self._water) for creature in creatures}
 
@@ -331,6 +329,12 @@ class School:
 
 def _stones(solids: Sequence[Solid]) -> list[Thing]:
     return [Thing(solid.position_m, solid.radii_m) for solid in solids]
+
+
+def check_creatures(creatures: Sequence[Creature], size_m: Vector) -> None:
+    """Raise ConfigError for one that has no room in the water, or no name of its own."""
+    for creature in creatures:
+        _check(creature, [each.name for each in creatures], size_m)
 
 
 def _check(creature: Creature, names: Sequence[str], size_m: Vector) -> None:

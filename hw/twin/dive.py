@@ -15,11 +15,11 @@ from numpy.typing import ArrayLike, NDArray
 from agent.clock import machine
 from agent.clock.clock import REST_NS, SERIAL, part_name
 from agent.clock.keeper import Keeper
-from agent.core.config import Fleet
+from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Vector
 from hw.camera.camera import CameraGone
 from hw.twin.board import PATIENCE_S, Act, Board, SensorFaults
-from hw.twin.creatures import Attitude, Lookout, School
+from hw.twin.creatures import Attitude, Lookout, School, check_creatures
 from hw.twin.physics.body import (
     BODY,
     OPEN_V,
@@ -74,11 +74,26 @@ STILL = Scene(name="still")
 STEP_US, TICK_US = round(STEP_S * 1e6), TICK_NS // 1000
 
 
+def playable(fleet: Fleet, scene: Scene, robots: Sequence[str]) -> None:
+    """Raise ConfigError for a target, a creature or an event of the scene that these robots' dive cannot have."""
+    water_m = (*fleet.tank.size_m[:2], fleet.tank.surface_m)
+    for k, solid in enumerate(scene.solid):
+        is_target = solid.kind == "ball" or solid.name in fleet.target
+        if is_target and not all(0.0 < x < m for x, m in zip(solid.position_m, water_m, strict=True)):
+            raise ConfigError(
+                f"scene '{scene.name}': key 'solid[{k}].position_m': {list(solid.position_m)} is outside of the water, "
+                f"{' x '.join(f'{m:g}' for m in water_m)} m; write metres"
+            )
+    check_creatures(scene.creature, water_m)
+    tags = [tag.id for tag in fleet.landmarks.tag] if fleet.landmarks else []
+    check(scene.event, robots, movable(fleet, scene), tags, [creature.name for creature in scene.creature])
+
+
 class Dive:
     """All robots of a fleet in one tank, and its clock: start_ns + ticks * 10 ms.
 
-    `plants` overrides what is drawn for the robots that it names. Raises ConfigError for an event of the scene that
-    nothing here can meet.
+    `plants` overrides what is drawn for the robots that it names. Raises ConfigError for a scene that is not
+    `playable`.
     """
 
     def __init__(
@@ -90,6 +105,7 @@ class Dive:
         plants: Mapping[str, Plant] | None = None,
         scene: Scene = STILL,
     ) -> None:
+        playable(fleet, scene, robots)
         seed, surface_m = fleet.twin.seed, fleet.tank.surface_m
         self.robots = list(robots)
         rows = [(plants or {}).get(name, Plant()) for name in robots]
@@ -119,10 +135,8 @@ class Dive:
         self._nominal_deg = np.zeros((len(robots), 4))
         self._water_pa = np.zeros((len(robots), 4))
         self._to_come = sorted(scene.event, key=lambda event: event.at_s, reverse=True)  # the next is the last
-        tags = [tag.id for tag in fleet.landmarks.tag] if fleet.landmarks else []
         for name in () if scene.moored else robots:
             self.cast_off(name)
-        check(scene.event, self.robots, movable(fleet, scene), tags, [c.name for c in scene.creature])
         self._measure()
 
     @property

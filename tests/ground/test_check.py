@@ -29,6 +29,7 @@ from agent.process.command import shipped_fleet, with_pictures
 from agent.process.launch import free_ports
 from agent.robot.fleet_reader import load_fleet
 from hw.camera.camera import CameraError
+from hw.twin.scene import SCENES
 from tests.hw.camera.fake_picamera2 import FakePi
 from tests.known_lens import TWIN, TWIN_CAMERA
 
@@ -256,6 +257,30 @@ def test_pictures_scenes_extras_and_worlds(tmp_path: Path, monkeypatch: pytest.M
     assert any("no such scene" in line for line in wrong) and any("real device" in line for line in wrong)
 
 
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ("[[event]] at_s = 1.0; kind = 'push'; robot = 'r9'; force_n = [1, 0, 0]; for_s = 1.0", "no robot 'r9' dives"),
+        ("[[creature]] name = 'fish'; path = [[0, 0, 0], [1, 1, 0.2]]", "is too close to a wall"),
+        (
+            "[[solid]] kind = 'ball'; colour = 'yellow'; position_m = [760, 560, 70]; radii_m = [0.07, 0.07, 0.07]",
+            "[760.0, 560.0, 70.0] is outside of the water, 1.5 x 1.2 x 0.5 m; write metres",
+        ),
+    ],
+)
+def test_a_scene_that_no_dive_can_have_is_wrong(tmp_path: Path, table: str, says: str) -> None:
+    path, scene = tmp_path / "fleet.toml", tmp_path / "mine.toml"
+    write_fleet(path, 2, twin=True)
+    shipped = (SCENES / "tank.toml").read_text()
+    for text, wrong in (
+        (shipped, False),
+        (f"{shipped}\n{table.replace('; ', chr(10)).replace(']] ', ']]' + chr(10))}", True),
+    ):
+        scene.write_text(text)
+        path.write_text(re.sub(r"scene = .*", f'scene = "{scene}"', path.read_text()))
+        assert any(says in line for line in lines(check(path, None, tmp_path), "wrong")) == wrong
+
+
 def test_a_disk_that_is_full_or_may_not_be_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     free = {"now": 10**11}
     monkeypatch.setattr(check_files.shutil, "disk_usage", lambda _: (10**12, 0, free["now"]))
@@ -326,6 +351,12 @@ def test_angles_that_look_like_radians_and_balls_of_another_unit_are_a_warning(t
         (r"\Z", "\n[budget]\nlevel_m = 1.5\n", "budget.level_m: 1.5; 0 to 0.1 are usual: write metres"),
         (r"\Z", "\n[budget]\nattitude_deg = 90.0\n", "attitude_deg: 90; 0 to 30 are usual: write degrees"),
         (r"\Z", "\n[body]\npan_limit_deg = [-900.0, 900.0]\n", "body.pan_limit_deg: -900; -180 to 180 are usual"),
+        (r"\Z", "\n[body]\ntilt_limit_deg = [-1.05, 0.52]\n", "-1.05 to 0.52 leave 1.57 degrees in all: write degrees"),
+        (
+            r"\Z",
+            '\n[target.fish]\ndetector = "creature"\ncolour = "green"\nlength_m = 0.15\nspeed_m_s = 0.1\nturn_s = 3.0',
+            "target.fish: swims, and robots take no bearings of it",
+        ),
         (r"\Z", "\n[body]\ncamera_m = [0.1, 0.0, 30.0]\n", "body.camera_m: 30; -1 to 1 are usual: write metres"),
         (r"\Z", "\n[body]\nservo_centre_us = 1.5\n", "servo_centre_us: 1.5; 500 to 2500 are usual: write microseconds"),
         (r"\Z", "\n[camera]\nsettle_s = 50.0\n", "camera.settle_s: 50; 0 to 3 are usual: write seconds"),

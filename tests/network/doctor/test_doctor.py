@@ -188,6 +188,11 @@ def test_all_robots_are_asked_at_the_same_time(make_fleet: MakeFleet, tmp_path: 
     assert all("no handshake follows" in (one.cause or "") for one in probed.values())
 
 
+def test_of_an_open_fleet_anybody_looks(make_fleet: MakeFleet, tmp_path: Path) -> None:
+    fleet = make_fleet(CHAIN)
+    assert who_looks(fleet, file_of(fleet, tmp_path), "ann").name == "ann"
+
+
 def test_an_agent_says_before_a_dive_what_will_go_wrong(chain: Fleet, tmp_path: Path, monkeypatch) -> None:
     path = tmp_path / "fleet.toml"
     assert check.before_dive(chain, "r1", path, tmp_path) is None
