@@ -122,11 +122,9 @@ def _from_pictures(settings: Settings, folder: Path, show: Show) -> Made:
     known = settings.length is not None
     space = Space("metres, axes of the scene", "sigma_m") if known else Space("units and axes of the scene", "sigma")
     space = space._replace(origin=(x, y, z))
-    notes = (
-        [*posed.notes, f"the scene lies far from zero: files count from its {space.away}"]
-        if space.away
-        else posed.notes
-    )
+    notes = list(posed.notes)
+    if space.away:
+        notes.append(f"the scene lies far from zero: files count from its {space.away}")
     return Made(_built(found, settings, True, show), held, posed.passed_over, notes, unit / by, known, space)
 
 
