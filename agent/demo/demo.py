@@ -93,8 +93,7 @@ def demo_fleet(
     fleet = load_fleet(path)
     names = _first(fleet, robots, path)
     _lives_in_the_twin(fleet, names, path)
-    _has_its_targets(fleet, path)
-    playable(fleet, scene_of(fleet), names)
+    _has_its_targets(fleet, names, path)
     if fleet.coverage is not None and len(names) == 1:
         raise ConfigError(
             f"{path.name}: a survey is judged by what robots tell each other of it, so that it takes two; --robots 2"
@@ -161,8 +160,8 @@ def _lives_in_the_twin(fleet: Fleet, names: list[str], path: Path) -> None:
                 )
 
 
-def _has_its_targets(fleet: Fleet, path: Path) -> None:
-    """The twin's scene has all targets, and what tells those that are no ball can be used."""
+def _has_its_targets(fleet: Fleet, names: list[str], path: Path) -> None:
+    """The scene has all targets, these robots can dive in it, and what tells targets that are no ball can be used."""
     scene = scene_of(fleet)
     known = {*target_solids(fleet, scene, path), *target_creatures(fleet, scene, path)}
     for name, target in fleet.target.items():
@@ -175,6 +174,7 @@ def _has_its_targets(fleet: Fleet, path: Path) -> None:
             target_picture(name, target, (fleet.camera.width_px, fleet.camera.height_px))
         if target.models is not None:
             load_box_tracker(model_files(Path(target.models)))
+    playable(fleet, scene, names)
 
 
 # --- endpoints ---

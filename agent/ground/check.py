@@ -4,6 +4,7 @@ included.
 
 from __future__ import annotations
 
+import contextlib
 import grp
 import os
 import stat
@@ -36,6 +37,7 @@ from agent.ground.check_files import (
     unit_findings,
     watchers_here,
 )
+from agent.process.agent_process import own_calibration
 from agent.robot.arbiter import broken_extend_rules
 from agent.robot.fleet_reader import broken_rules, load_fleet, load_robot, read_fleet, two_worlds
 from hw.camera import known_scheme, libcamera, open_camera
@@ -261,9 +263,7 @@ def computer_findings(here: Sequence[str], folder: Path) -> Iterator[Finding]:
 def before_dive(fleet: Fleet, name: str, path: Path, folder: Path) -> str | None:
     """What will go wrong in a dive of this robot though its agent starts, in one line; None: nothing is known to.
     `folder`: where it records."""
-    found = (
-        *odd_findings(fleet, name, path),
-        *running_findings(fleet, name, path),
-        *computer_findings([name], folder),
-    )
+    found = [*running_findings(fleet, name, path), *computer_findings([name], folder)]
+    with contextlib.suppress(ConfigError):  # without a calibration it does not start
+        found = [*odd_findings(fleet, name, own_calibration(fleet, name, path)), *found]
     return "; ".join(finding.text for finding in found if finding.level != "ok") or None

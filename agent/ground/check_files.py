@@ -27,7 +27,7 @@ from cryptography.exceptions import InvalidSignature
 from agent.core.config import ConfigError, Fleet, Goto, Target, numbers_in, to_install, unit_of
 from agent.core.estimation.fuse import PAIRS
 from agent.core.estimation.protocols import pursued
-from agent.core.ranging.camera_model import CameraFit, FocusFit
+from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit
 from agent.core.ranging.focus import FARTHEST_M, h
 from agent.core.step_transaction import SURFACE_M
 from agent.perception.detection.detectors import colours_too_alike, creature_hues, sought, target_picture
@@ -177,16 +177,14 @@ def calibration_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Findin
         else:
             yield Finding("wrong", name, str(error))
         return
-    odd = list(odd_findings(fleet, name, path))
+    odd = list(odd_findings(fleet, name, made))
     yield from odd or [Finding("ok", name, f"{fleet.robot[name].calibration}, made {made.made}")]
 
 
-def odd_findings(fleet: Fleet, name: str, path: Path) -> Iterator[Finding]:
-    """What is hardly meant in a calibration that can be read."""
-    with contextlib.suppress(ConfigError):
-        made = own_calibration(fleet, name, path)
-        for doubt in (*focus_doubts(made.focus), *camera_doubts(made.camera)):
-            yield Finding("warning", name, f"{fleet.robot[name].calibration}: {doubt}; calibrate again")
+def odd_findings(fleet: Fleet, name: str, made: Calibration) -> Iterator[Finding]:
+    """What is hardly meant in a robot's calibration."""
+    for doubt in (*focus_doubts(made.focus), *camera_doubts(made.camera)):
+        yield Finding("warning", name, f"{fleet.robot[name].calibration}: {doubt}; calibrate again")
 
 
 def focus_doubts(focus: FocusFit | None) -> Iterator[str]:
@@ -261,10 +259,12 @@ def target_findings(fleet: Fleet) -> Iterator[Finding]:
             found = tried(f"target {name}", partial(sample, name, target, size))
             balls_can_be_read &= found.level == "ok"
             yield found
-    swim = [name for name, target in fleet.target.items() if target.speed_m_s is not None]
-    for name in (name for name in swim if name not in pursued(fleet)):
-        text = f'target.{name}: swims, and robots take no bearings of it: that takes protocol = "evidence" and a robot'
-        yield Finding("warning", "fleet", f"{text} that follows or searches for it")
+    watched = pursued(fleet)
+    for name, target in fleet.target.items():
+        if target.speed_m_s is not None and name not in watched:
+            text = f"target.{name}: swims, and robots take no bearings of it: that takes"
+            takes = 'protocol = "evidence" and a robot that follows or searches for it'
+            yield Finding("warning", "fleet", f"{text} {takes}")
     if balls_can_be_read:
         yield from (Finding("warning", "fleet", line) for line in colours_too_alike(fleet))
 

@@ -51,7 +51,7 @@ from agent.perception.depth_peaks import (
 from agent.perception.tracking.appearance import Box
 from agent.perception.tracking.follow import check_box
 from hw.camera.camera import Camera, CameraError, Image, nearest
-from hw.camera.files import StackCamera
+from hw.camera.files import LUMINANCE, StackCamera
 from replay.viewers.viewer_channels import SweepDepth, SweepFrame
 
 # --- sweep of a camera that stands still ---
@@ -311,8 +311,8 @@ def clarity_of(
 
 def brightness(image: Image) -> float:
     """The mean luminance of a picture, grey or blue green red, 0 to 255."""
-    blue, green, red, _ = cv2.mean(image)
-    return blue if image.ndim == 2 else 0.114 * blue + 0.587 * green + 0.299 * red
+    mean = cv2.mean(image)
+    return mean[0] if image.ndim == 2 else float(np.dot(mean[:3], LUMINANCE))
 
 
 def _pooled(sums: Sums, along: int) -> Sums:

@@ -93,6 +93,12 @@ def pictures(source: str, frames: int | None, of_camera: int | None = None, upri
     return Pictures("camera", _shots(source, most), most, None, problems, notes)
 
 
+def first_of(found: Pictures) -> tuple[Picture, Pictures]:
+    """The first picture, which there is, or the walk says why not; and all of them, with it."""
+    first = next(found.each)
+    return first, found._replace(each=itertools.chain((first,), found.each))
+
+
 def said(line: str | None) -> list[str]:
     return [] if line is None else [line]
 
@@ -247,8 +253,7 @@ def run(
     found = pictures(source, frames, of_camera=FRAMES, upright=True)
     if one and not (found.total == 1 and found.kind == "images" and out.suffix.lower() == ".png"):
         raise ConfigError(f"--out {out}: is the name of one picture; give a folder, or for one picture a NAME.png")
-    first = next(found.each)  # there is one, or the walk has said why not
-    found = found._replace(each=itertools.chain((first,), found.each))
+    _, found = first_of(found)  # a source that cannot be read says so before anything is compiled
     way = enhancer(variant, weights, BUDGET_MS if found.kind == "camera" else None)
     if way.why:
         console.print(f"{way.variant}: {way.why}")

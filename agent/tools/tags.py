@@ -6,7 +6,6 @@ how a camera codes light, from tags that are blurred.
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import NamedTuple
@@ -21,7 +20,7 @@ from agent.perception.tags import Found, Plane, all_tags, green, light_of_bytes,
 from agent.process.command import Progress, plain_console, with_bar
 from agent.robot.fleet_reader import load_fleet
 from agent.tools.camera_calibration import Photographs
-from agent.tools.enhance import Picture, Pictures, pictures
+from agent.tools.enhance import Picture, Pictures, first_of, pictures
 from agent.tools.focus_calibration import Array, check_file, put
 from agent.tools.track import AMBER, GREEN, RED, check_out, writer
 from hw.camera.camera import Image
@@ -57,11 +56,9 @@ def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
     camera = None if asked.calibration is None else load_calibration(asked.calibration).camera
     if asked.out is not None:
         check_out(asked.out)
-    found = pictures(source, asked.frames)
-    first = next(found.each)  # there is one, or the walk has said why not
+    first, found = first_of(pictures(source, asked.frames))
     if camera is not None:
         check_size(first.image, camera, asked.calibration)
-    found = found._replace(each=itertools.chain((first,), found.each))
     console = plain_console(stderr=True)
     with writer(asked.out, found.rate_hz) as show:
         say(HEADER)

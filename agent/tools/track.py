@@ -7,7 +7,6 @@ agrees with boxes that somebody has marked.
 
 from __future__ import annotations
 
-import itertools
 import json
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -31,7 +30,7 @@ from agent.perception.tracking.follow import (
     parse_box,
 )
 from agent.process.command import new_file, new_folder, plain_console, run_folder, with_bar
-from agent.tools.enhance import Picture, Pictures, own_name, pictures
+from agent.tools.enhance import Picture, Pictures, first_of, own_name, pictures
 from hw.camera.camera import Image
 from hw.camera.files import read_rows, write_picture
 from replay.files.frames import CODECS, film
@@ -260,13 +259,11 @@ def run(source: str, asked: Asked, say: Callable[[str], None]) -> bool:
     follower = Follower(load_box_tracker(asked.nanotrack), LIMITS[name])
     if asked.out is not None:
         check_out(asked.out)
-    found = pictures(source, asked.frames)
-    first = next(found.each)  # there is one, or the walk has said why not
+    first, found = first_of(pictures(source, asked.frames))
     drawn = first_box(truth, first.place) if drawn is None else drawn
     if found.total is not None and asked.frames is None:
         check_rows(truth, found.total)
     follower.start(first.image, drawn)
-    found = found._replace(each=itertools.chain((first,), found.each))
     console = plain_console(stderr=True)
     with writer(asked.out, asked.rate_hz or found.rate_hz) as show:
         say(HEADER)

@@ -58,12 +58,18 @@ def test_pictures_whose_names_fall_together_are_all_written(tmp_path):
     }  # fmt: skip
 
 
-def test_a_video_in_and_out(tmp_path):
-    film, frames = tmp_path / "film.avi", list(clip(4))
-    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 12.5, (480, 360))
+def filmed(path, frames, rate_hz):
+    """The clip's pictures as a film."""
+    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"MJPG"), rate_hz, (480, 360))
     for image, _ in frames:
         writer.write(image)
     writer.release()
+    return path
+
+
+def test_a_video_in_and_out(tmp_path):
+    frames = list(clip(4))
+    film = filmed(tmp_path / "film.avi", frames, 12.5)
     lines = []
     assert run(str(film), Asked(text(frames[0][1]), out=tmp_path / "out.avi"), lines.append)
     assert [line.split(",")[0] for line in lines[1:]] == ["0", "1", "2", "3"]
@@ -214,11 +220,7 @@ def test_frames_that_cannot_be_read_keep_their_numbers_and_are_not_scored(tmp_pa
 
 
 def test_a_film_is_as_long_as_it_announces_before_it_is_walked(tmp_path):
-    film, frames = tmp_path / "film.avi", list(clip(4))
-    writer = cv2.VideoWriter(str(film), cv2.VideoWriter.fourcc(*"MJPG"), 30, (480, 360))
-    for image, _ in frames:
-        writer.write(image)
-    writer.release()
+    film = filmed(tmp_path / "film.avi", list(clip(4)), 30.0)
     truth = write(tmp_path / "truth.csv", ["0,10,10,20,20,1", "4,10,10,20,20,1"], "frame,x,y,w,h,visible")
     lines = []
     with pytest.raises(ConfigError, match="frame 4 is marked, but the source has 4 pictures"):
