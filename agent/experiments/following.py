@@ -201,9 +201,8 @@ CLAIM = Claim(
     measured_on="twin",
     figures=tuple(figure for name, case in CASES.items() for figure in _figures(name, case)),
     explanation="""Robots search a basin with weeds for a fish, find it in their own drawn frames as bearings, and
-        follow it; for some seconds one camera is covered. What counts begins 5 s after the first robot has seen it,
-        as in `aucamp demo --fleet fish`. Robots that share tell each other what they see, the silent
-        say only where they are themselves. A robot that lost the fish is asked for it from
-        when it is in sight again; NEES is the error squared in units of the stated covariance, 3 where it is
-        honest. The thruster rings of two robots touch at 0.34 m.""",
+        follow it; for some seconds one camera is covered. What counts begins 5 s after the first robot that swims
+        has seen it. Robots that share tell each other what they see, the silent say only where they are themselves.
+        A robot that lost the fish is asked for it from when it is in sight again; NEES is the error squared in units of
+        the stated covariance, 3 where it is honest. The thruster rings of two robots touch at 0.34 m.""",
 )

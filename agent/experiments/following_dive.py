@@ -234,7 +234,7 @@ class Draw(NamedTuple):
     landmarks: NDArray[np.bool_]  # (n, k): its camera is turned to landmarks
     error_m: Array  # (n, k): of where each robot believes it to be now; nan: it does not know
     nees: Array  # (n, k): squared error by its own covariance, 3 where that is right; nan: no track of that time
-    first: int  # frame in which a robot sees it; n: none ever does
+    first: int  # frame in which a robot that swims sees it; n: none ever does
     watched: int  # first frame that counts
     least_m: float  # of any two robots
 
@@ -263,9 +263,9 @@ def dive(case: Case, speed_m_s: float, seed: int, watch_s: float = WATCH_S) -> D
                 least_m = min(least_m, swimmers.least_apart_m())
     t_s = (1 + np.arange(len(rows))) * FRAME_STEPS / STEPS_S
     cells = np.array(rows)
-    sees, in_sight, in_reach, covered, landmarks = np.moveaxis(cells[:, :, :5].astype(bool), 2, 0)
-    error_m, nees = np.moveaxis(cells[:, :, 5:], 2, 0)
-    seen = np.flatnonzero(sees.any(axis=1))
+    sees, in_sight, in_reach, covered, landmarks, swims = np.moveaxis(cells[:, :, :6].astype(bool), 2, 0)
+    error_m, nees = np.moveaxis(cells[:, :, 6:], 2, 0)
+    seen = np.flatnonzero((sees & swims).any(axis=1))
     first = int(seen[0]) if len(seen) else len(t_s)
     frames_s = STEPS_S / FRAME_STEPS
     watched = min(first + round(SETTLES_NS * 1e-9 * frames_s), round(FIND_S * frames_s))
@@ -284,7 +284,8 @@ def row(swimmers: Swimmers, fleet: Fleet, target_m: Vector, pillars: tuple[Pilla
         reach = reaches(fleet.body, place, target_m)
         flags = newest is not None and newest.found, near and clear and not eyes.covered, reach, eyes.covered
         believed = judged(agent, fleet, target_m, swimmers.now_ns)
-        found.append(np.array([*flags, swimmers.swimmer(name).at_landmarks, *believed], float))
+        does = swimmers.swimmer(name).at_landmarks, swimmers.swims(name)
+        found.append(np.array([*flags, *does, *believed], float))
     return found
 
 
