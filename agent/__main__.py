@@ -117,6 +117,10 @@ def main() -> None:
     except Leaving as leaving:
         leaving.arrived = True
         raise
+    except SystemExit as ended:
+        if isinstance(ended.__context__, BrokenPipeError):  # typer ends by 1, and `replay check` so says "not the same"
+            sys.exit(128 + signal.SIGPIPE)
+        raise
     except typer.TyperException as error:
         sys.stderr.write(usage_error(error))
         sys.exit(2)

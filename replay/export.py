@@ -1,8 +1,9 @@
 """Recordings for other programs: JSON lines and CSV tables.
 
 A line is {"file", "channel", "log_time_ns", "publish_time_ns", "sequence", "message"}. Bytes become {"base64": "..."},
-but for messages of neighbours as they came into a step, which are decoded too. Of protobuf messages the fields have
-their own names, bytes are base64, 64-bit integers are texts, and what is not a number is "NaN", as protobuf has it.
+but for messages of neighbours as they came into a step, which are decoded too, and so does a message that is none. Of
+protobuf messages the fields have their own names, bytes are base64, 64-bit integers are texts. What is not a number is
+"NaN" or "Infinity", as protobuf has it.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ import base64
 import contextlib
 import csv
 import json
+import logging
+import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -20,9 +23,10 @@ import msgspec
 from google.protobuf import descriptor_pb2, descriptor_pool, json_format, message_factory
 
 from agent.core.codec import decode
-from agent.core.config import ConfigError, writing
+from agent.core.config import ConfigError, Fleet, writing
 from agent.core.robot_view import along_axes, robot_view
 from agent.core.step_io import Inputs
+from replay.check.check import clocks_apart
 from replay.check.reexecute import STEP_BYTES, BlackBox, head
 from replay.files.info import suspecting
 from replay.files.mcap_file import parts
@@ -30,6 +34,8 @@ from replay.files.mcap_walk import Channel, Message, Schema, Tear, records
 from replay.files.recover import black_boxes, recordings
 from replay.report.timeline import RobotTimeline, Run, open_run
 from replay.viewers.viewer_channels import sighting_row, telemetry_row
+
+logger = logging.getLogger(__name__)
 
 # --- recordings of a path ---
 # Which recordings a path stands for, when something is to be made of them, and which robots are in these; and a file
@@ -90,21 +96,21 @@ def write_lines(path: Path, out: Path, robot: str | None = None, channels: Seque
 def lines(paths: Sequence[Path], channels: Sequence[str] = (), robot: str | None = None) -> Iterator[str]:
     """The lines of some recordings, in the order of the files. `channels`: only these; `robot`: only what is about it.
 
-    Raises ConfigError for a channel that is in none of them, and for messages that do not decode.
+    Raises ConfigError for a channel that is in none of them.
     """
     seen: set[str] = set()
     for path in paths:
         for file in parts(path):
             with suspecting(file):
-                head(file)
-                yield from _of_file(file, channels, robot, seen)
+                about = robot if robot != head(file).run.get("robot") else None
+                yield from _of_file(file, channels, about, seen)
     missing = [channel for channel in channels if channel not in seen]
     if missing:
         raise ConfigError(f"no channel {missing[0]} in {paths[0]}; `aucamp replay info` lists them")
 
 
 def _of_file(file: Path, wanted: Sequence[str], robot: str | None, seen: set[str]) -> Iterator[str]:
-    """Up to the first tear, as everybody reads a recording."""
+    """Up to the first tear, as everybody reads a recording. `robot`: only channels with that name."""
     schemas: dict[int, Schema] = {}
     channels: dict[int, Channel] = {}
     decoders: dict[int, Decode] = {}
@@ -118,7 +124,7 @@ def _of_file(file: Path, wanted: Sequence[str], robot: str | None, seen: set[str
             case Message() if record.channel_id in channels:
                 topic = channels[record.channel_id].topic
                 seen.add(topic)
-                if (wanted and topic not in wanted) or not _about(robot, topic, file):
+                if (wanted and topic not in wanted) or (robot is not None and robot not in topic.split("/")):
                     continue
                 facts = {
                     "file": file.name,
@@ -128,14 +134,16 @@ def _of_file(file: Path, wanted: Sequence[str], robot: str | None, seen: set[str
                     "sequence": record.sequence,
                     "message": decoders[record.channel_id](record.data),
                 }
-                yield json.dumps(facts, default=_plain)
+                yield _line(facts)
             case Tear():
                 return
 
 
-def _about(robot: str | None, topic: str, file: Path) -> bool:
-    """Whether a channel is about a robot: its own name is in that of the channel, or of the black box."""
-    return robot is None or robot in topic.split("/") or file.name.split(".")[0] == robot
+def _line(facts: dict[str, Any]) -> str:
+    try:
+        return json.dumps(facts, default=_plain, allow_nan=False)
+    except (TypeError, ValueError):  # nothing of ours: what anybody sent stands in a recording as it came
+        return json.dumps(_plain(facts))
 
 
 def _decoder(channel: Channel, schema: Schema | None) -> Decode:
@@ -149,15 +157,20 @@ def _decoder(channel: Channel, schema: Schema | None) -> Decode:
 
 
 def _msgpack(data: bytes) -> Any:
-    message = msgspec.msgpack.decode(data)
+    message = _unpacked(data)
     if isinstance(message, dict):
         for heard in message.get("heard", ()):  # of Inputs: what neighbours said
             if isinstance(heard, dict) and isinstance(heard.get("payload"), bytes):
-                try:
-                    heard["payload"] = msgspec.msgpack.decode(heard["payload"])
-                except msgspec.DecodeError:
-                    continue  # what came was no message: its bytes are shown
+                heard["payload"] = _unpacked(heard["payload"])
     return message
+
+
+def _unpacked(data: bytes) -> Any:
+    """What came that is no message is shown as its bytes."""
+    try:
+        return msgspec.msgpack.decode(data)
+    except (msgspec.DecodeError, RecursionError):
+        return data
 
 
 def _kind(schema: Schema) -> Any:
@@ -173,9 +186,20 @@ def _protobuf(kind: Any, data: bytes) -> Any:
 
 
 def _plain(data: Any) -> Any:
-    if isinstance(data, bytes):
-        return {"base64": base64.b64encode(data).decode()}
-    raise TypeError(f"{type(data).__name__} is not in our messages")
+    """As JSON can say it."""
+    match data:
+        case bytes():
+            return {"base64": base64.b64encode(data).decode()}
+        case dict():
+            return {key if isinstance(key, str) else str(key): _plain(value) for key, value in data.items()}
+        case list() | tuple():
+            return [_plain(value) for value in data]
+        case float() if not math.isfinite(data):
+            return "NaN" if math.isnan(data) else "Infinity" if data > 0.0 else "-Infinity"
+        case None | bool() | int() | float() | str():
+            return data
+        case _:  # a time, or a type of somebody else's
+            return str(data)
 
 
 # --- tables ---
@@ -208,18 +232,28 @@ def write_tables(path: Path, out: Path, robot: str | None = None) -> list[Path]:
     """
     with suspecting(path):
         run = open_run(path)
+        for line in clocks_apart(run.links):
+            logger.warning("%s: %s", path, line)
         names = wanted(robot, (timeline.robot for timeline in run.timelines), path)
-        out.mkdir(parents=True, exist_ok=True)
-        of_names = [table for name in names for table in tables(run, name)]
-        files = [_write(out / table.file, _suspected(table.rows, path)) for table in of_names]
-    return [file for file in files if file is not None]
+        files: list[Path] = []
+        try:
+            for table in (table for name in names for table in tables(run, name)):
+                if _write(out / table.file, _suspected(table.rows, path)):
+                    files.append(out / table.file)
+        except BaseException:  # some tables look like all of them
+            for file in files:
+                file.unlink()
+            raise
+    if not files:
+        raise ConfigError(f"{path}: has nothing for a table in it; `aucamp replay info` says what is in it")
+    return files
 
 
 def tables(run: Run, robot: str) -> Iterator[Table]:
     """Every table of one robot."""
     of = [timeline for timeline in run.timelines if timeline.robot == robot]
     start_ns = run.start_ns or 0
-    yield Table(robot, "state", (row for timeline in of for row in _states(timeline)))
+    yield Table(robot, "state", (row for timeline in of for row in _states(timeline, run.fleet)))
     yield Table(robot, "telemetry", (row for box in of[0].boxes for row in _telemetry(box, start_ns)))
     yield Table(robot, "sightings", (row for box in of[0].boxes for row in _sightings(box, start_ns)))
     yield Table(robot, "sweeps", (row for timeline in of for row in _sweeps(timeline)))
@@ -232,23 +266,33 @@ def _suspected(rows: Iterator[TableRow], recording: Path) -> Iterator[TableRow]:
         yield from rows
 
 
-def _write(path: Path, rows: Iterator[TableRow]) -> Path | None:
+def _write(path: Path, rows: Iterator[TableRow]) -> bool:
+    """Whether there are any."""
     first = next(rows, None)
     if first is None:
-        return None
+        return False
     with whole_or_none(path), path.open("w", encoding="utf-8", newline="") as file:
         out = csv.DictWriter(file, list(first))
         out.writeheader()
         out.writerow(first)
         out.writerows(rows)
-    return path
+    return True
 
 
-def _states(timeline: RobotTimeline) -> Iterator[TableRow]:
-    """The last state of each iteration."""
+def _states(timeline: RobotTimeline, fleet: Fleet) -> Iterator[TableRow]:
+    """The last state of each iteration, at the time at which it was shown."""
     for belief in timeline.beliefs:
-        row = robot_view(belief.state).row
-        yield {"time_s": _s(belief.t_s), **row, "faults": _text(row["faults"])}
+        view = robot_view(belief.state, fleet)
+        body = view.body
+        yield {
+            "time_s": _s(belief.shown_s),
+            "iteration_since_s": _s(belief.t_s),
+            **view.row,
+            "robot_x_m": None if body is None else body.x_m,
+            "robot_y_m": None if body is None else body.y_m,
+            "yaw_deg": None if body is None else body.yaw_deg,
+            "faults": _text(view.row["faults"]),
+        }
 
 
 def _telemetry(box: BlackBox, start_ns: int) -> Iterator[TableRow]:

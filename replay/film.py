@@ -5,8 +5,9 @@ A clip has the tank from above, each robot's camera beside it, and where each ro
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -57,7 +58,7 @@ class Shot(NamedTuple):
 def write_film(path: Path, out: Path, robot: str | None = None) -> int:
     """Write the film and return its length in frames; `out` ends in .mp4.
 
-    Black boxes have every frame, with what vision found; where there is none, previews are taken from the fleet file.
+    Black boxes have every frame, with what vision found; of a robot without one, the fleet file has previews.
     Raises ConfigError where there are no pictures, or those of several robots and none is named.
     """
     boxes: list[Path] = []
@@ -66,22 +67,25 @@ def write_film(path: Path, out: Path, robot: str | None = None) -> int:
         kind = head(parts(file)[0]).run.get("kind")
         (boxes if kind == "black box" else fleets).append(file)
     opened = [open_box(file) for file in boxes]
-    there = {box.robot for box in opened} or {name for file in fleets for name in _previewed(file)}
-    names = wanted(robot, there, path)
+    names = wanted(robot, {box.robot for box in opened}.union(*map(_previewed, fleets)), path)
     if not names:
         raise ConfigError(f"{path}: has no pictures; agents record them, and fleets with previews")
     if len(names) > 1:
         raise ConfigError(f"{path}: has pictures of {', '.join(names)}; say with --robot of which to make a film")
-    if opened:
-        of = sorted((box for box in opened if box.robot == names[0]), key=lambda box: box.incarnation)
-        shots = (shot for box in of for shot in _seen(box))
-    else:
-        shots = (shot for file in fleets for shot in _previews(file, names[0]))
+    of = sorted((box for box in opened if box.robot == names[0]), key=lambda box: box.incarnation)
+    shots = _shots(of, fleets, names[0])
     with whole_or_none(out), suspecting(path):
         count = _film(shots, out, names[0])
         if count:
             return count
         raise ConfigError(f"{path}: has no pictures of {names[0]}; agents record them, and fleets with previews")
+
+
+def _shots(boxes: Sequence[BlackBox], fleets: Iterable[Path], robot: str) -> Iterator[Shot]:
+    """What one robot saw, by its black boxes; where it left none, by the fleet files."""
+    if boxes:
+        return itertools.chain.from_iterable(map(_seen, boxes))
+    return (shot for file in fleets for shot in _previews(file, robot))
 
 
 def _film(shots: Iterator[Shot], out: Path, robot: str) -> int:
@@ -202,7 +206,7 @@ class Moving(NamedTuple):
     colour: tuple[int, int, int]
     states: Sequence[tuple[float, State]]  # by time, s
     beliefs: Sequence[Belief]
-    half_view_rad: float
+    half_view_rad: float | None  # None: its black box is not here
     shots: Iterator[Shot]
 
 
@@ -213,8 +217,9 @@ def write_clip(path: Path, out: Path) -> int:
     """
     run = open_run(path)
     target = next(iter(run.fleet.target))
-    robots = [_moving(run, name, target) for name in run.fleet.robot if any(box.robot == name for box in run.boxes)]
-    if not robots or run.start_ns is None:
+    there = {timeline.robot for timeline in run.timelines}
+    robots = [_moving(run, name, target) for name in run.fleet.robot if name in there]
+    if not run.boxes or run.start_ns is None:
         raise ConfigError(f"{path}: has no black box; give the folder of a run whose agents recorded themselves")
     true_m, ends_s = truth_at(run, target), max(timeline.ends_s for timeline in run.timelines)
     count = round(CLIP_S * CLIP_FPS)
@@ -241,9 +246,10 @@ def _moving(run: Run, name: str, target: str) -> Moving:
     beliefs = next((each.beliefs for each in about if each.target == target), ())
     boxes = [box for box in run.boxes if box.robot == name]
     colour = ROBOTS[list(run.fleet.robot).index(name) % len(ROBOTS)]
-    camera = boxes[0].calibration.camera
-    half_view_rad = math.atan(0.5 * camera.width_px / camera.f_px)
-    return Moving(name, colour, states, beliefs, half_view_rad, (shot for box in boxes for shot in _seen(box)))
+    camera = boxes[0].calibration.camera if boxes else None
+    half_view_rad = None if camera is None else math.atan(0.5 * camera.width_px / camera.f_px)
+    fleets = run.fleet_file.paths if run.fleet_file is not None else ()
+    return Moving(name, colour, states, beliefs, half_view_rad, _shots(boxes, fleets, name))
 
 
 def _advance(robot: Moving, now_ns: int, seen: dict[str, Shot]) -> None:
@@ -294,12 +300,12 @@ def _draw_robot(image: Colours, fleet: Fleet, robot: Moving, t_s: float, at: Pla
     body = None if state is None else robot_view(state, fleet).body
     if state is None or body is None:
         return
-    looks, half = math.radians(body.yaw_deg + state.pan_deg), robot.half_view_rad
-    ends = [at(body.x_m + VIEW_M * math.cos(a), body.y_m + VIEW_M * math.sin(a)) for a in (looks - half, looks + half)]
-    view = np.array([at(body.x_m, body.y_m), *ends], np.int32)
-    shade = image.copy()
-    cv2.fillPoly(shade, [view], robot.colour, cv2.LINE_AA, 4)
-    cv2.addWeighted(shade, 0.18, image, 0.82, 0.0, image)
+    if (half := robot.half_view_rad) is not None:
+        sides = (math.radians(body.yaw_deg + state.pan_deg) + side for side in (-half, half))
+        ends = [at(body.x_m + VIEW_M * math.cos(a), body.y_m + VIEW_M * math.sin(a)) for a in sides]
+        shade = image.copy()
+        cv2.fillPoly(shade, [np.array([at(body.x_m, body.y_m), *ends], np.int32)], robot.colour, cv2.LINE_AA, 4)
+        cv2.addWeighted(shade, 0.18, image, 0.82, 0.0, image)
     cv2.circle(image, at(body.x_m, body.y_m), round(16 * BODY_M * scale), robot.colour, -1, cv2.LINE_AA, 4)
     u, v = at(body.x_m, body.y_m)
     cv2.putText(image, robot.name, (u // 16 - 8, v // 16 + 4), cv2.FONT_HERSHEY_SIMPLEX, 0.4, WATER, 1, cv2.LINE_AA)

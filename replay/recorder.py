@@ -26,7 +26,7 @@ from agent.clock.clock import Clock
 from agent.core import topics
 from agent.core.codec import Refusal, decode, encode, printable
 from agent.core.config import ConfigError, Fleet, dump, to_install
-from agent.core.messages import SCHEMA
+from agent.core.messages import SCHEMA, LogLine
 from agent.core.ranging.camera_model import Calibration
 from agent.core.step_io import Sighting
 from agent.core.topics import Topic
@@ -420,6 +420,7 @@ class BlackBoxWriter:
         """
         self._log, self._robot, self._clock, self._lossless, self._rate = log, robot, clock, lossless, rate
         self._frames, self._chunks = count(), {channels.FROM_BOARD: count(), channels.TO_BOARD: count()}
+        self._lines = count()
 
     def step(self, step: int, now_ns: int, inputs: bytes, outputs: bytes | None) -> None:
         """One call of Agent.step, as encoded messages; `outputs` is None when it raised."""
@@ -428,6 +429,10 @@ class BlackBoxWriter:
             self._log.put(entry_on(channels.STEP_OUT, now_ns, now_ns, step, outputs))
         for note in self._rate.due() if self._rate is not None else ():
             self._log.put(note)
+
+    def line(self, line: LogLine) -> None:
+        """A line of the log that is in the outputs of no step."""
+        self._log.put(entry_on(channels.LINES, self._clock(), line.sent_ns, next(self._lines), encode(line)))
 
     def frame(
         self,

@@ -266,7 +266,8 @@ def info_all(paths: Iterable[Path], json_: bool, say: Callable[[str], None]) -> 
                 about = info(file)
                 told = _facts(file, about, boxes) if number == 0 else None
                 lacks = missing if number == 0 else None
-                say(_for_programs(file, about, told, lacks) if json_ else _for_people(file, about, told, lacks))
+                text = (_for_programs if json_ else _for_people)(file, about, told, lacks)
+            say(text)
 
 
 def _recordings(path: Path) -> list[tuple[list[Path], str | None]]:

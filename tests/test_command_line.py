@@ -18,6 +18,7 @@ import agent
 from agent.__main__ import app, main
 from agent.process.command import Failed, temporary_folder
 from agent.process.launch import Child, Crew, crew, free_ports, wait_for
+from tests.places import GOLDEN
 from tests.waiting import until
 
 TANK = str(Path(agent.__file__).parent / "fleets" / "tank.toml")
@@ -193,6 +194,16 @@ def test_a_crew_ends_with_its_block_and_names_who_failed(tmp_path: Path) -> None
         wait_for("never", lambda: False, processes, 20.0)
     with pytest.raises(ProcessLookupError):
         os.kill(pid, 0)
+
+
+def test_that_nobody_reads_on_is_no_answer() -> None:
+    """`replay check` ends by 1 where steps are not the same, and `replay info` by 2 where a file is none."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    command = [sys.executable, "-m", "agent", "replay", "info", str(GOLDEN / "seen" / "r1.mcap")]
+    done = subprocess.run(command, stdout=writer, stderr=subprocess.PIPE, timeout=60)
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (128 + signal.SIGPIPE, b"")
 
 
 def test_a_process_that_ignores_sigterm_is_killed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -122,18 +122,19 @@ class Runtime:
         landmarks: Callable[[], Around] = lambda: ((), ()),
         draw: Callable[[TargetBox], str | None] = lambda box: "nobody looks",
         preview_hz: Callable[[float], None] = lambda hz: None,
+        keep: Callable[[LogLine], None] = lambda line: None,
     ) -> None:
         """`faults`: what is wrong now with what the agent does not see, each as "kind: what"; it goes into the step,
         and from there into State and the log. `motors`: who switches them as is ordered; None: nobody. `sign`: what it
         says as it shall leave; the recording has it as the kernel gave it. `keys`: the robots' public keys at the first
         call and when they have changed, else None. `landmarks`: what frames showed of tags, and how points of key
         frames moved, since the last call. `draw`: a box around a target, as somebody drew it; returns why not.
-        `preview_hz`: how often pictures are shown from now on.
+        `preview_hz`: how often pictures are shown from now on. `keep`: a line that no step says, for the recording.
         """
         self._name, self._agent, self._eyes, self._module = name, agent, eyes, module
         self._network, self._record, self._clock = network, record, clock
         self._faults, self._motors, self._sign, self._keys = faults, motors, sign, keys
-        self._landmarks, self._draw, self._preview_hz = landmarks, draw, preview_hz
+        self._landmarks, self._draw, self._preview_hz, self._keep = landmarks, draw, preview_hz, keep
         self._broken: dict[str, str] = {}  # parts that raised when they were last asked
         self._changed = Condition()
         self._waits: Part | None = None  # the loop, while it does; guarded by _changed, as is the next
@@ -248,7 +249,8 @@ class Runtime:
         return done
 
     def _log(self, level: Level, text: str, now_ns: int) -> None:
-        self._network.show(LogLine(robot=self._name, sent_ns=now_ns, level=level, text=text[:MAX_TEXT]))
+        self._keep(line := LogLine(robot=self._name, sent_ns=now_ns, level=level, text=text[:MAX_TEXT]))
+        self._network.show(line)
 
 
 def say_goodbye(agent: Agent, network: Network, clock: Clock, mode: Mode = "stopped") -> None:
@@ -432,6 +434,7 @@ class AgentProcess:
             landmarks=self._landmarks.drain if self._landmarks else lambda: ((), ()),
             draw=self._draw,
             preview_hz=self._preview.set_rate,
+            keep=self._box.line,
         )
         return self._loop
 
@@ -470,6 +473,7 @@ class AgentProcess:
 
     def _log(self, level: Level, text: str) -> None:
         line = LogLine(robot=self._setup.name, sent_ns=self._clock.now_ns(), level=level, text=text[:MAX_TEXT])
+        self._box.line(line)
         self._network.show(line)
 
 

@@ -58,6 +58,7 @@ class Link(NamedTuple):
     heard: int
     unknown: int  # heard, but not among those said
     after_end: int  # of those: sent after the sender's recordings end, so nobody can tell
+    least_ns: int | None = None  # of any message, from its sender's clock to its reader's: below 0 these differ
 
 
 class Correspondence:
@@ -66,22 +67,31 @@ class Correspondence:
     def __init__(self) -> None:
         self._said: dict[tuple[str, str], Counter[bytes]] = {}
         self._heard: dict[tuple[str, str], Counter[bytes]] = {}
+        self._said_ns: dict[tuple[str, str], dict[bytes, int]] = {}  # the first time, by its sender's clock
+        self._heard_ns: dict[tuple[str, str], dict[bytes, int]] = {}  # and by its reader's
         self._last_ns: dict[str, int] = {}  # of each robot that left a recording
 
     def add(self, robot: str, step: Step) -> None:
         """One step of a robot. Raises Refusal for one that holds something else than inputs and outputs."""
         for src, payload in _heard(step.inputs):
-            self._heard.setdefault((src, robot), Counter())[as_said(payload, src)] += 1
+            said = as_said(payload, src)
+            self._heard.setdefault((src, robot), Counter())[said] += 1
+            self._heard_ns.setdefault((src, robot), {}).setdefault(said, step.now_ns)
         if step.outputs is not None:
             self._last_ns[robot] = max(step.now_ns, self._last_ns.get(robot, 0))
             for dst, payload in _said(step.outputs):
-                self._said.setdefault((robot, dst), Counter())[as_said(payload, robot)] += 1
+                said = as_said(payload, robot)
+                self._said.setdefault((robot, dst), Counter())[said] += 1
+                self._said_ns.setdefault((robot, dst), {}).setdefault(said, step.now_ns)
 
     def join(self, other: Correspondence) -> None:
         """Take in what another gathered."""
         for ours, theirs in ((self._said, other._said), (self._heard, other._heard)):
             for pair, payloads in theirs.items():
                 ours.setdefault(pair, Counter()).update(payloads)
+        for our_ns, their_ns in ((self._said_ns, other._said_ns), (self._heard_ns, other._heard_ns)):
+            for pair, times_ns in their_ns.items():
+                our_ns[pair] = times_ns | our_ns.get(pair, {})
         for robot, last_ns in other._last_ns.items():
             self._last_ns[robot] = max(last_ns, self._last_ns.get(robot, 0))
 
@@ -95,7 +105,25 @@ class Correspondence:
             return Link(src, dst, None, heard.total(), 0, 0)
         unknown = heard - said
         after_end = sum(count for payload, count in unknown.items() if _sent_ns(payload) > self._last_ns[src])
-        return Link(src, dst, said.total(), heard.total(), unknown.total(), after_end)
+        said_ns, heard_ns = self._said_ns.get((src, dst), {}), self._heard_ns.get((src, dst), {})
+        least_ns = min((at_ns - said_ns[each] for each, at_ns in heard_ns.items() if each in said_ns), default=None)
+        return Link(src, dst, said.total(), heard.total(), unknown.total(), after_end, least_ns)
+
+
+APART_NS = 1_000_000_000  # of two robots' clocks: less may be what messages took
+
+
+def clocks_apart(links: Iterable[Link]) -> list[str]:
+    """Whose clocks differ, a line for each pair: by the fastest message each way, which took as long as the other."""
+    least_ns = {(link.src, link.dst): link.least_ns for link in links if link.least_ns is not None}
+    found = []
+    for a, b in sorted(pair for pair in least_ns if pair[0] < pair[1] and pair[::-1] in least_ns):
+        ahead_ns = (least_ns[a, b] - least_ns[b, a]) // 2
+        if abs(ahead_ns) > APART_NS:
+            fast, slow = (b, a) if ahead_ns > 0 else (a, b)
+            by = f"{fast}'s clock is {abs(ahead_ns) * 1e-9:.1f} s ahead of {slow}'s"
+            found.append(f"{by}: their times do not compare")
+    return found
 
 
 def links(boxes: Iterable[BlackBox]) -> list[Link]:

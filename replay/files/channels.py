@@ -155,6 +155,7 @@ FROM_BOARD = Channel(
 TO_BOARD = Channel("/raw/serial/to_board", "and to the control module", "application/octet-stream", "", AGENT)
 CLOCK = Channel("/raw/clock", "how fast the clock goes, and the time on the wall", "msgpack", "aucamp.ClockRate", BOTH)
 DROPS = Channel("/raw/drops", "what the disk was too slow for: frames give way first, steps last", "msgpack", "", BOTH)
+LINES = Channel("/raw/log", "lines of its log that no step said", "msgpack", "aucamp.LogLine", AGENT)
 CUT = Channel("/raw/step_in_cut", "inputs of a step that has no outputs", "msgpack", "aucamp.Inputs", ("recovery",))
 NETWORK = Channel(
     "/zenoh/{key}", "every message on the network, its payload as it came", "msgpack", "aucamp.{message}", RECORDER
@@ -210,7 +211,7 @@ FOCUS = _derived("/{robot}/plot/focus[/{target}]", "lens position and clarity", 
 RATE = _derived("/plot/clock", "how fast the clock goes", "aucamp.Clock", BOTH)
 
 CHANNELS = (
-    *(STEP_IN, STEP_OUT, CAMERA_IMAGE, SWEEP_IMAGE, FRAME, VISION, FROM_BOARD, TO_BOARD, CLOCK, DROPS, CUT),
+    *(STEP_IN, STEP_OUT, CAMERA_IMAGE, SWEEP_IMAGE, FRAME, VISION, FROM_BOARD, TO_BOARD, CLOCK, DROPS, LINES, CUT),
     *(PRESENCE, NETWORK, TF, PRIOR, ESTIMATE, LOG, PREVIEW, CAMERA_MODEL, SWEEP_MODEL, POINTS),
     *(KEYFRAME_POINTS, NEXT_VIEW, COVERAGE),
     *(PROTOCOL, NEIGHBOUR, ATTITUDE, THRUSTERS, SURVEY, FOCUS, RATE),

@@ -293,7 +293,8 @@ def missing_steps(files: Iterable[Info]) -> str | None:
         ended = ended or left_out > 0 or about.torn
     if not left_out:
         return None
-    return f"steps are missing after {f'step {read - 1}' if read else 'the start'}: {left_out} later ones are left out"
+    after = f"step {read - 1}" if read else "the start"
+    return f"steps are missing after {after}: what is made of steps leaves out the {left_out} later ones"
 
 
 def _counts(text: str) -> dict[str, object]:

@@ -157,6 +157,8 @@ def _sound(path: Path, say: Callable[[str], None]) -> tuple[Path, Info]:
     if (about.end and not about.torn) or about.recovered or is_held(there):
         if about.recovered:
             say(f"{there}: {about.recovered.get('summary', '')}")
+        elif is_held(there):
+            say(f"{there}: still being written; what is in it by now is read")
         return there, about
     if recovered(there).exists() and is_of(recovered(there), there):
         return _sound(recovered(there), say)

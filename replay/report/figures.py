@@ -20,8 +20,9 @@ from agent.core.robot_view import AXES
 from agent.core.status import sigma_m
 from replay.files.info import Moment
 from replay.report.creature_track import EVERY_NS, CreatureTrack
+from replay.report.lead import floor_known
 from replay.report.page import ellipse
-from replay.report.timeline import Array, LoggedSweep, RobotTimeline, Surveyed, floor_known
+from replay.report.timeline import Array, LoggedSweep, RobotTimeline, Surveyed
 from replay.story import apart_m
 from replay.viewers.viewer_channels import SweepDepth
 

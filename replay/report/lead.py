@@ -12,13 +12,15 @@ from typing import Any, Literal, NamedTuple
 
 from markupsafe import Markup
 
+from agent.capabilities.survey.coverage_map import CoverageMap
 from agent.core.config import Fleet
 from agent.core.messages import State, Symmetric, Vector
 from agent.core.robot_view import robot_view
 from agent.core.status import fault_kind
+from replay.check.check import clocks_apart
 from replay.report.creature_track import Path3, true_path
 from replay.report.page import Floor, Held, Point, Robot, Thing, cell, close_up, from_above
-from replay.report.timeline import SURVEYED, RobotTimeline, Run, Surveyed, floor_known, survey_rows
+from replay.report.timeline import RobotTimeline, Run, Surveyed
 from replay.story import apart_m, listed
 
 # --- each robot at the end ---
@@ -145,6 +147,7 @@ class Outcome(NamedTuple):
     survey: Survey | None = None
     torn: tuple[str, ...] = ()  # recordings that nobody finished
     left_out: tuple[str, ...] = ()  # what of recordings is not read
+    clocks: tuple[str, ...] = ()  # of which robots they differ
     verdict: str = ""  # the demo's own: pass, fail; nothing for a run without
     reasons: tuple[str, ...] = ()  # why it failed
 
@@ -177,6 +180,7 @@ def outcome(run: Run, at_end: Sequence[End], survey: Surveyed | None) -> Outcome
         survey=_survey(run, survey),
         torn=tuple(torn),
         left_out=tuple(run.left_out),
+        clocks=tuple(clocks_apart(run.links)),
         verdict=summary.get("verdict", ""),
         reasons=tuple(summary.get("reasons", ())),
     )
@@ -338,7 +342,7 @@ def _wrong(about: Outcome) -> Iterator[tuple[Literal["bad"], str]]:
     for name, robot in about.robots.items():
         if robot.mode == "failed":
             yield "bad", f"{name} failed after {seconds(robot.ends_s)}"
-        elif about.lasted_s - robot.ends_s > EARLY_S:
+        elif about.lasted_s - robot.ends_s > EARLY_S and not about.clocks:
             how = ENDINGS[robot.ending].format(name)
             yield "bad", f"{how} after {seconds(robot.ends_s)} of {seconds(about.lasted_s)}"
         if robot.starts > 1:
@@ -350,7 +354,7 @@ def _wrong(about: Outcome) -> Iterator[tuple[Literal["bad"], str]]:
     if about.torn:
         whose = "its writer" if len(about.torn) == 1 else "their writers"
         yield "bad", f"not finished by {whose}: {listed(about.torn)}"
-    yield from (("bad", line) for line in about.left_out)
+    yield from (("bad", line) for line in (*about.clocks, *about.left_out))
     if about.verdict == "fail":
         yield "bad", f"it did not pass: {_first_of(about.reasons)}" if about.reasons else "it did not pass"
 
@@ -440,6 +444,20 @@ def _ends(at_end: Sequence[End], survey: Surveyed | None) -> Ends:
     return Ends(f"{about}together, as the robot states it.", rows)
 
 
+SURVEYED = "At the end. Maps are equal where these digits are."  # about what `survey_rows` says
+
+
+def survey_rows(found: Surveyed) -> list[list[str]]:
+    """A row for each robot, at the end, under a head."""
+    rows = [["robot", "keyframes of its own", "held", "knows", "map"]]
+    for name, each in found.known.items():
+        own = sum(frame.origin == name for _, frame in found.frames)
+        last = each[-1] if each else None
+        told = ["-", "-", "-"] if last is None else [str(last.held), f"{100 * last.share:.1f} %", last.digest]
+        rows.append([name, str(own), *told])
+    return rows
+
+
 def _mm(value_m: float | None) -> str:
     return cell(None if value_m is None else 1e3 * value_m, ".1f")
 
@@ -514,6 +532,17 @@ def _floor(survey: Surveyed | None) -> Floor | None:
             y, x = divmod(number, grid.shape[0])
             cells[KINDS[known]].append((x * grid.cell_m, y * grid.cell_m))
     return Floor(grid.cell_m, cells)
+
+
+def floor_known(found: CoverageMap) -> list[int]:
+    """Each column of cells from above, x fastest: 0 nothing is known of its floor, 1 something, 2 all that is asked
+    for, 3 a thing stands above it."""
+    nx, ny, _ = found.grid.shape
+    have = (found.cells.get(number, 0) for number in range(nx * ny))
+    known = [2 if cell >= found.grid.goal else 1 if cell > 0 else 0 for cell in have]
+    for number in found.solid():
+        known[number % (nx * ny)] = 3
+    return known
 
 
 def _caption(robots: Sequence[Robot], things: Sequence[Thing], survey: Surveyed | None) -> str:

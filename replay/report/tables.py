@@ -22,9 +22,9 @@ from agent.core.verdict import ORDER
 from agent.robot.arbiter import priorities
 from replay.report import figures
 from replay.report.figures import VARIANCES
-from replay.report.lead import ORDERED, OVER, End, ends, truth_of
+from replay.report.lead import ORDERED, OVER, SURVEYED, End, ends, survey_rows, truth_of
 from replay.report.page import Row, Table, cell, percent
-from replay.report.timeline import SURVEYED, Array, RobotTimeline, Run, Surveyed, survey_rows
+from replay.report.timeline import Array, RobotTimeline, Run, Surveyed
 
 # --- errors at the end ---
 # The table of errors: what priors and posteriors missed the truth by, axis by axis, and whether they knew it.

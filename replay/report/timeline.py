@@ -41,7 +41,7 @@ from replay.check.reexecute import (
     other_kind,
     schema_of,
 )
-from replay.files.channels import CLOCK, STEP_OUT, network_topic
+from replay.files.channels import CLOCK, LINES, STEP_OUT, network_topic
 from replay.files.info import Moment, in_dive, moment
 from replay.files.log import parts, read
 from replay.files.mcap_file import left_out
@@ -77,7 +77,8 @@ class Belief(NamedTuple):
     """What a robot held after one iteration."""
 
     t: int
-    t_s: float
+    t_s: float  # when it was shown first
+    shown_s: float  # and last, with `state`: what that says of posture and faults is of then
     state: State
     cov_m2: Symmetric | None  # of the posterior; only what was said to neighbours has it
 
@@ -191,12 +192,13 @@ class Account:
 
     def show(self, state: State, t_s: float) -> None:
         self.states.append((t_s, state))
-        cov_m2 = self._said.cov_m2 if self._said is not None and self._said.x_m == state.posterior_m else None
+        cov_m2, since_s = None, t_s
+        if self._said is not None and self._said.x_m == state.posterior_m:
+            cov_m2 = self._said.cov_m2
         if self.beliefs and self.beliefs[-1].t == state.t:
-            cov_m2 = cov_m2 or self.beliefs[-1].cov_m2
-            self.beliefs[-1] = Belief(state.t, self.beliefs[-1].t_s, state, cov_m2)
-        else:
-            self.beliefs.append(Belief(state.t, t_s, state, cov_m2))
+            _, since_s, _, _, known_m2 = self.beliefs.pop()
+            cov_m2 = cov_m2 or known_m2
+        self.beliefs.append(Belief(state.t, since_s, t_s, state, cov_m2))
 
 
 class _Gathered:
@@ -363,9 +365,11 @@ def said_in(paths: Iterable[Path], rows: Collection[Topic] = TOPICS) -> Iterator
 
 def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str] = ()) -> Overheard:
     """The robots of a fleet file by name, those in `known` left out. Times are by the robots' own clocks, since
-    `start_ns`, or since the first state of any of them. What does not decode is passed over.
+    `start_ns`, or since the first state of any of them; lines of a log may be older. What does not decode is passed
+    over.
     """
     robots = {name: _Gathered() for name in file.fleet.robot}
+    asides: list[tuple[_Gathered, LogLine | Answer]] = []
     said: dict[tuple[str, str], set[tuple[int, int]]] = {}
     for _, topic, chunks, message in said_in(file.paths):
         robot = robots.get(chunks[topic.writer])
@@ -377,14 +381,22 @@ def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str
         elif isinstance(message, State):
             start_ns = message.sent_ns if start_ns is None else start_ns
             robot.show(message, (message.sent_ns - start_ns) * 1e-9)
-        elif isinstance(message, LogLine) and start_ns is not None:
-            robot.log.append(((message.sent_ns - start_ns) * 1e-9, message))
-        elif isinstance(message, Answer) and start_ns is not None:
-            robot.answers.append(((message.sent_ns - start_ns) * 1e-9, message))
+        elif isinstance(message, LogLine | Answer):
+            asides.append((robot, message))
+    if start_ns is None:  # no robot came as far as its first step; why may stand in its log
+        start_ns = min((message.sent_ns for _, message in asides), default=None)
+    for robot, message in asides:
+        t_s = (message.sent_ns - (start_ns or 0)) * 1e-9
+        if isinstance(message, Answer):
+            robot.answers.append((t_s, message))
+            continue
+        robot.log.append((t_s, message))
+        if not robot.starts_s:
+            robot.ends_s = max(robot.ends_s, t_s)
     found = [
         timeline
         for name, robot in robots.items()
-        if name not in known and robot.starts_s  # else it was never up
+        if name not in known and (robot.starts_s or robot.log)  # else it was never up
         for timeline in robot.timelines(name, file.fleet)
     ]
     heard = {(src, dst): n for dst, robot in robots.items() for src, n in robot.heard().items()}
@@ -445,7 +457,8 @@ def open_run(path: Path) -> Run:
         drawn = sorted([*drawn, *more.timelines], key=lambda timeline: timeline.robot)
         heard = _joined(heard, more, known)
     fleet = boxes[0].fleet if boxes else file.fleet if file else load_fleet(path / "fleet.toml")
-    clock = _clock([*(box.path for box in boxes), *(file.paths if file else ())])
+    clock, lines = _beside_steps([*(box.path for box in boxes), *(file.paths if file else ())])
+    drawn = [_with_lines(timeline, lines[timeline.robot], start_ns or 0) for timeline in drawn]
     if told is not None:
         _refuse_another(path / "summary.json", told, boxes, drawn)
     return Run(path, fleet, boxes, file, drawn, heard, summary, _truths(told, fleet), start_ns, clock)
@@ -459,15 +472,21 @@ def _recordings(path: Path) -> tuple[list[BlackBox], Path | None]:
     return open_boxes([path]), None
 
 
-def _clock(paths: Iterable[Path]) -> list[Moment]:
-    """The notes of one clock in all these recordings."""
-    notes = (
-        moment(record.log_time_ns, record.data)
-        for path in paths
-        for record in read(path)
-        if record.channel == CLOCK.name
-    )
-    return in_dive(each for each in notes if each is not None)
+def _beside_steps(paths: Iterable[Path]) -> tuple[list[Moment], dict[str, list[LogLine]]]:
+    """What all these recordings hold beside steps: notes of one clock, and by robot lines that no step said."""
+    notes, lines = list[Moment | None](), defaultdict[str, list[LogLine]](list)
+    for record in itertools.chain.from_iterable(map(read, paths)):
+        if record.channel == CLOCK.name:
+            notes.append(moment(record.log_time_ns, record.data))
+        elif record.channel == LINES.name:
+            line = decode(record.data, LogLine, accepted=READABLE)
+            lines[line.robot].append(line)
+    return in_dive(each for each in notes if each is not None), lines
+
+
+def _with_lines(timeline: RobotTimeline, lines: Iterable[LogLine], start_ns: int) -> RobotTimeline:
+    told = [((line.sent_ns - start_ns) * 1e-9, line) for line in lines]
+    return timeline._replace(log=tuple(sorted([*timeline.log, *told], key=lambda each: each[0])))
 
 
 def _joined(heard: Sequence[Link], more: Overheard, known: set[str]) -> list[Link]:
@@ -528,8 +547,6 @@ def _truths(told: _Summary | None, fleet: Fleet) -> dict[str, Vector]:
 # --- a survey ---
 # What the robots of a survey said of it, from their black boxes: how much each knew when, and what they measured.
 
-SURVEYED = "At the end. Maps are equal where these digits are."  # about what `survey_rows` says
-
 
 class Known(NamedTuple):
     """What one robot said once."""
@@ -575,25 +592,3 @@ def surveyed(fleet: Fleet, boxes: Sequence[BlackBox]) -> Surveyed | None:
         together.add(frame)
     together.let_go()
     return Surveyed(known, told, paths, together)
-
-
-def floor_known(found: CoverageMap) -> list[int]:
-    """Each column of cells from above, x fastest: 0 nothing is known of its floor, 1 something, 2 all that is asked
-    for, 3 a thing stands above it."""
-    nx, ny, _ = found.grid.shape
-    have = (found.cells.get(number, 0) for number in range(nx * ny))
-    known = [2 if cell >= found.grid.goal else 1 if cell > 0 else 0 for cell in have]
-    for number in found.solid():
-        known[number % (nx * ny)] = 3
-    return known
-
-
-def survey_rows(found: Surveyed) -> list[list[str]]:
-    """A row for each robot, at the end, under a head."""
-    rows = [["robot", "keyframes of its own", "held", "knows", "map"]]
-    for name, each in found.known.items():
-        own = sum(frame.origin == name for _, frame in found.frames)
-        last = each[-1] if each else None
-        told = ["-", "-", "-"] if last is None else [str(last.held), f"{100 * last.share:.1f} %", last.digest]
-        rows.append([name, str(own), *told])
-    return rows

@@ -222,6 +222,7 @@ class ViewerChannels:
         self._of: dict[str, Callable[[Entry], Iterator[Made]]] = {
             channels.STEP_IN.name: self._inputs,
             channels.STEP_OUT.name: self._outputs,
+            channels.LINES.name: self._line,
             name(channels.CAMERA_IMAGE, robot=robot): self._image,
             name(channels.SWEEP_IMAGE, robot=robot): self._image,
             channels.FRAME.name: self._frame,
@@ -268,6 +269,10 @@ class ViewerChannels:
             yield from self._survey.measured(said)
         for line in outputs.log:
             yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
+
+    def _line(self, entry: Entry) -> Iterator[Made]:
+        line = _own(entry, LogLine)
+        yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
 
     def _image(self, entry: Entry) -> Iterator[Made]:
         """Nothing: viewers draw it as it is."""

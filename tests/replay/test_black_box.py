@@ -12,7 +12,7 @@ from agent.core.codec import decode, encode
 from agent.core.messages import LogLine, State
 from agent.core.step_io import Inputs, Outputs, SetPoint, Sighting
 from agent.process.agent_process import Runtime
-from replay.files.channels import STEP_IN, STEP_OUT, VISION
+from replay.files.channels import LINES, STEP_IN, STEP_OUT, VISION
 from replay.files.frames import EXACT_EVERY, WHOLE_EVERY, Frames, Picture, pixels
 from replay.files.info import info
 from replay.files.log import read
@@ -71,6 +71,24 @@ def test_the_inputs_that_broke_a_step_are_recorded(tmp_path: Path) -> None:
     assert records[4].data == encode(Inputs())
     assert decode(records[3].data, Outputs).set_point.depth_m == 0.2
     assert info(log.path).end["cause"] == "exception:ZeroDivisionError"
+
+
+class Talks(Still):
+    """A control module whose driver has something to say."""
+
+    def drain(self) -> tuple[tuple, tuple]:
+        return (), (("warning", "cable: bytes are lost"),)
+
+
+def test_lines_that_no_step_says_are_recorded(tmp_path: Path) -> None:
+    with black_box_log(tmp_path, FLEET, "r1", CALIBRATION, {"kind": "black box"}, views=True) as log:
+        box = BlackBoxWriter(log, "r1", lambda: START_NS)
+        runtime = Runtime("r1", Breaks(), StillCamera(), Talks(), Still(), box.step, SystemClock(), keep=box.line)
+        runtime.step(0)
+        runtime.step(1)
+    said = [decode(record.data, LogLine).text for record in read(log.path) if record.channel == LINES.name]
+    assert said == 2 * ["cable: bytes are lost"]
+    assert info(log.path).channels[LINES.name].metadata["schema"] == LINES.schema
 
 
 def test_a_second_start_keeps_the_first_recording(tmp_path: Path) -> None:

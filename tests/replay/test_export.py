@@ -1,26 +1,35 @@
 """Tables, films and lines of JSON hold what the recordings do, of every kind of recording."""
 
+import base64
 import csv
 import json
+import shutil
 from pathlib import Path
 
 import cv2
+import numpy as np
 import pytest
 from typer.testing import CliRunner
 
 from agent.__main__ import app
-from agent.core.codec import decode
-from agent.core.config import ConfigError
+from agent.core import topics
+from agent.core.codec import decode, encode
+from agent.core.config import ConfigError, dump
+from agent.core.messages import Image, LogLine, Message, State
 from agent.core.step_io import Inputs, Outputs, Sighting
 from replay.check.reexecute import open_box
 from replay.export import lines, recordings_of, write_lines, write_tables
-from replay.files.channels import VISION
+from replay.files.channels import LOG, NETWORK, VISION, Entry, name
 from replay.files.info import info
 from replay.files.log import read
+from replay.files.mcap_file import Part
 from replay.film import CLIP_FPS, CLIP_S, FPS, write_clip, write_film
+from replay.recorder import BlackBoxWriter, black_box_log
+from replay.report.report import report
 from tests.places import GOLDEN
 from tests.replay.overheard_run import overheard_run
-from tests.replay.small_box import STEPS, write_box
+from tests.replay.paced_clock import PacedClock
+from tests.replay.small_box import CALIBRATION, FLEET, START_NS, STEPS, fill, flat, write_box
 
 SEEN = GOLDEN / "seen" / "r1.mcap"
 
@@ -173,3 +182,114 @@ def test_a_damaged_recording_gives_no_lines(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="bytes follow its end; `aucamp replay recover` makes a sound copy"):
         write_lines(tmp_path / "r1.mcap", tmp_path / "all.jsonl")
     assert not (tmp_path / "all.jsonl").exists()
+
+
+def test_a_row_of_state_is_of_its_time(tmp_path: Path) -> None:
+    """Posture and faults are of the state that was shown then, and not of an iteration's first."""
+    write_tables(GOLDEN / "swim" / "r1.mcap", tmp_path / "out")
+    states = {}
+    box = open_box(GOLDEN / "swim" / "r1.mcap")
+    start_ns = next(box.steps()).now_ns
+    for step in box.steps():
+        if (state := decode(step.outputs or b"", Outputs, limit=10**6).state) is not None:
+            states[f"{(step.now_ns - start_ns) * 1e-9:.6f}", state.target] = state
+    table = rows(tmp_path / "out" / "r1_state.csv")
+    assert len(table) > 10
+    for row in table:
+        state = states[row["time_s"], row["target"]]
+        assert (float(row["pan_deg"]), int(row["iteration"])) == (state.pan_deg, state.t)
+        assert float(row["iteration_since_s"]) <= float(row["time_s"])
+        where = state.whereabouts
+        assert [row["robot_x_m"], row["yaw_deg"]] == ([str(where.x_m), str(where.yaw_deg)] if where else ["", ""])
+
+
+def test_what_anybody_sent_is_a_line_of_json(tmp_path: Path) -> None:
+    """A recorder keeps what does not decode; and what decodes need not be a message."""
+    file, fleet = tmp_path / "fleet.mcap", dump(open_box(SEEN).fleet)
+    deep = b"\x91" * 3000 + b"\x00"
+    sent = [b"\xc1", b"\x81\xc4\x01k\x01", b"\xd6\xff\x00\x00\x00\x01", b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00", deep]
+    part = Part(file)
+    part.start({**info(SEEN).run, "kind": "fleet"}, {"fleet.toml": fleet})
+    for n, payload in enumerate(sent):
+        part.add(Entry(name(NETWORK, key="aucamp/tank/r1/state"), n, n, n, payload, "msgpack", {}))
+    part.finish("aucamp.end", {"cause": "clean"})
+    assert write_lines(file, tmp_path / "all.jsonl") == len(sent)
+
+    def refused(constant: str) -> None:
+        raise AssertionError(f"{constant} is no JSON")
+
+    said = [json.loads(line, parse_constant=refused) for line in (tmp_path / "all.jsonl").read_text().splitlines()]
+    assert [line["message"] for line in said[:4]] == [
+        {"base64": "wQ=="},
+        {"b'k'": 1},
+        "1970-01-01 00:00:01+00:00",
+        "NaN",
+    ]
+    assert base64.b64decode(said[4]["message"]["base64"]) == deep
+
+
+def test_a_black_box_is_of_its_robot_whatever_its_file_is_called(tmp_path: Path) -> None:
+    mine, other = tmp_path / "tuesday.mcap", tmp_path / "r1.mcap"
+    shutil.copy(GOLDEN / "three" / "r1.mcap", mine)
+    shutil.copy(GOLDEN / "three" / "r2.mcap", other)
+    assert len(list(lines([mine], robot="r1"))) == len(list(lines([mine])))
+    assert not [line for line in lines([other], robot="r1") if "/raw/step_out" in line]
+
+
+def test_lines_of_the_log_are_in_the_table_whoever_said_them(tmp_path: Path) -> None:
+    """Also of before the first step, and where a robot never came so far."""
+    early = LogLine(robot="r1", sent_ns=START_NS - 10**9, level="warning", text="no IMU")
+    run = {"kind": "black box", "robot": "r1", "incarnation": 1}
+    with black_box_log(tmp_path, FLEET, "r1", CALIBRATION, run, True, flat) as log:
+        clock = PacedClock(START_NS, 1.0)
+        BlackBoxWriter(log, "r1", clock.now_ns).line(early)
+        fill(log, clock)
+    (tmp_path / "box").mkdir()
+    write_tables(log.path, tmp_path / "box")
+    first, *others = rows(tmp_path / "box" / "r1_log.csv")
+    assert (first["text"], len(others)) == ("no IMU", STEPS)
+    assert float(first["time_s"]) == pytest.approx(-1.05, abs=0.01)
+    assert [line for line in lines([log.path], [name(LOG, robot="r1")]) if "no IMU" in line], "viewers show it"
+
+    def without_states(message: Message) -> Message | None:
+        return None if isinstance(message, State) else message
+
+    fleet = overheard_run(GOLDEN / "three", tmp_path / "fleet.mcap", without_states)
+    files = write_tables(fleet, tmp_path / "fleet")
+    assert {file.name for file in files} == {"r1_log.csv", "r2_log.csv", "r3_log.csv"}
+    assert float(rows(tmp_path / "fleet" / "r1_log.csv")[0]["time_s"]) >= 0.0
+    assert "r1" in report(fleet, tmp_path / "report.html").read_text(encoding="utf-8")
+
+
+def test_tables_are_all_or_none(tmp_path: Path) -> None:
+    (tmp_path / "r1_telemetry.csv").mkdir()
+    with pytest.raises(OSError, match="directory"):
+        write_tables(SEEN, tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["r1_telemetry.csv"]
+    empty = overheard_run(GOLDEN / "outage", tmp_path / "fleet.mcap", lambda message: None)
+    with pytest.raises(ConfigError, match="has nothing for a table in it"):
+        write_tables(empty, tmp_path / "out")
+
+
+def test_a_robot_without_a_black_box_is_filmed_by_its_previews(tmp_path: Path) -> None:
+    shutil.copy(GOLDEN / "seen" / "r1.mcap", tmp_path)
+    box = open_box(SEEN)
+    start_ns = next(box.steps()).now_ns
+    other = next(robot for robot in box.fleet.robot if robot != "r1")
+    jpeg = cv2.imencode(".jpg", np.full((120, 160, 3), 200, np.uint8))[1].tobytes()
+    part = Part(tmp_path / "fleet.mcap")
+    part.start({**box.run, "kind": "fleet"}, {"fleet.toml": dump(box.fleet)})
+    for n in range(4):
+        t_ns = start_ns + n * 500_000_000
+        shown = Image(
+            robot=other, seq=n, sent_ns=t_ns, t_ns=t_ns, frame=n, width_px=160, height_px=120, enhanced=False, jpeg=jpeg
+        )
+        line = LogLine(robot=other, sent_ns=t_ns, level="info", text="here")
+        for topic, said in ((topics.IMAGE, shown), (topics.LOG, line)):
+            key = topics.key(topic, fleet=box.fleet.fleet, robot=other)
+            part.add(Entry(name(NETWORK, key=key), t_ns, t_ns, n, encode(said), "msgpack", {}))
+    part.finish("aucamp.end", {"cause": "clean"})
+    assert write_film(tmp_path, tmp_path / "other.mp4", other) == round(1.5 * FPS) + 1
+    write_clip(tmp_path, tmp_path / "dive.webp")
+    _, clip = cv2.imreadanimation(str(tmp_path / "dive.webp"))
+    assert (clip.frames[-1][..., :3].astype(int) > 180).mean() > 0.05, "its picture is white"

@@ -53,7 +53,11 @@ def test_a_black_box_holds_the_rows_of_its_writer_as_the_table_says(tmp_path: Pa
         assert about.encoding == row.encoding
         assert (about.schema if row.encoding == "protobuf" else about.metadata.get("schema", "")) == row.schema
     of_a_survey = {"/{robot}/plot/survey", "/{robot}/survey/keyframe", "/{robot}/survey/next"}
-    assert {row.name for row in CHANNELS if "agent" in row.writers and row not in seen} == {"/raw/drops", *of_a_survey}
+    assert {row.name for row in CHANNELS if "agent" in row.writers and row not in seen} == {
+        "/raw/drops",
+        "/raw/log",
+        *of_a_survey,
+    }
 
 
 def test_no_other_file_spells_a_channel() -> None:

@@ -11,6 +11,10 @@ import pytest
 
 from agent.core.config import Fleet
 from replay.check.reexecute import open_boxes
+from replay.files.channels import Entry
+from replay.files.info import info
+from replay.files.log import read
+from replay.files.mcap_file import Part
 from replay.report.lead import ends, lead, outcome, plain
 from replay.report.page import Floor, Held, Robot, Thing, close_up, from_above
 from replay.report.timeline import Run, open_run, surveyed
@@ -124,3 +128,20 @@ def test_a_floor_is_squares(fleet: Fleet) -> None:
     svg = from_above(fleet, [], [], Floor(0.05, {"known": [(0.0, 0.0), (0.05, 0.0)], "some": []}))
     (path,) = re.findall(r'class="known" d="(.*?)"', svg)
     assert path.count("M") == path.count("z") == 2 and 'class="some"' not in svg
+
+
+def test_clocks_that_differ_are_told_and_nobody_ended_early(tmp_path: Path) -> None:
+    ahead_ns = 20_000_000_000
+    for robot in ("r1", "r3"):
+        shutil.copy(GOLDEN / "three" / f"{robot}.mcap", tmp_path)
+    source = GOLDEN / "three" / "r2.mcap"
+    about, part = info(source), Part(tmp_path / "r2.mcap")
+    part.start(about.run, about.attachments)
+    for record in read(source):
+        later_ns = record.log_time_ns + ahead_ns, record.publish_time_ns + ahead_ns
+        part.add(Entry(record.channel, *later_ns, record.sequence, record.data, "msgpack", {}))
+    part.finish("aucamp.end", {"cause": "clean"})
+    told = "".join(said.text for said in lead(open_run(tmp_path), None).said)
+    assert "r2's clock is 20.0 s ahead of r1's: their times do not compare" in told.replace("\u00a0", " ")
+    assert "ended after" not in told
+    assert "clock" not in "".join(said.text for said in lead(open_run(GOLDEN / "three"), None).said)

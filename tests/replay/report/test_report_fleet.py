@@ -52,7 +52,7 @@ def test_a_restart_is_seen_and_strangers_are_passed_over(tmp_path: Path) -> None
     assert [len(found[name].starts_s) for name in ("r1", "r2", "r3")] == [1, 1, 2]
 
     def garbled(message: Message) -> Message:
-        return LogLine(robot="r1", sent_ns=1, level="info", text="not what this key is for")
+        return LogLine(robot="r9", sent_ns=1, level="info", text="not what this key is for")
 
     nothing = overheard(open_fleet_file(overheard_run(GOLDEN / "empty", tmp_path / "bad.mcap", garbled)))
     assert nothing.timelines == []
@@ -169,4 +169,4 @@ def test_what_is_not_read_leads_the_report(tmp_path: Path) -> None:
     found = "".join(said.text for said in lead(run, None).said if said.kind == "bad")
     goes_on = f"{tmp_path / 'r1.mcap'} goes on in r1.part002.mcap, which is not here; put it back there"
     assert goes_on in found
-    assert "r1.mcap: steps are missing after step 99: 210 later ones are left out" in found
+    assert "r1.mcap: steps are missing after step 99: what is made of steps leaves out the 210 later ones" in found
