@@ -210,7 +210,8 @@ def _robot(robot: str, target: str, one: Mapping[str, Any]) -> Iterator[str]:
     if one["estimate_m"]:
         place = ", ".join(f"{1e3 * x:.1f}" for x in one["estimate_m"])
         sigma = f" ± {1e3 * one['sigma_m']:.1f}" if one["sigma_m"] is not None else ""
-        measured = f"from {one['measurements']} measurements of its own" if one["measurements"] else "by others alone"
+        own = one["measurements"]
+        measured = f"from {own} measurement{'s' if own > 1 else ''} of its own" if own else "by others alone"
         yield f"In iteration {one['iteration']}, its last, it placed it at ({place}){sigma} mm, {measured}."
     if one["heard"]:
         heard = [f"{other} {of['messages']} times" for other, of in one["heard"].items()]
