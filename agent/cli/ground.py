@@ -129,12 +129,14 @@ def snapshot(
     ] = None,
 ) -> None:
     """The next picture of a running robot's camera, as the robot shows it. It does not notice."""
-    from agent.ground.observe import about, next_picture, target_table
+    from agent.ground.observe import about, check_target, next_picture, target_table
     from agent.process.certificates import credentials
     from agent.process.transport import LOOKER
 
     robots = load_fleet(fleet)
     load_robot(robots, robot, fleet)
+    if target is not None:
+        check_target(target)
     path = new_file(out or Path(f"{robot}.jpg"))
     if path.suffix.lower() not in (".jpg", ".jpeg"):
         raise ConfigError(f"--out {path}: a robot shows JPEGs; give it a name that ends in .jpg")

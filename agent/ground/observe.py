@@ -12,11 +12,12 @@ from pathlib import Path
 from threading import Event
 from typing import NamedTuple, TypeVar
 
+import tomli_w
 from msgspec import UNSET
 
 from agent.clock import machine
 from agent.core.codec import Refusal, printable
-from agent.core.config import ConfigError, Fleet
+from agent.core.config import NAME_RULE, ConfigError, Fleet
 from agent.core.messages import Image, State
 from agent.core.robot_view import in_own_name, robot_view
 from agent.core.topics import IMAGE, STATE
@@ -24,6 +25,7 @@ from agent.ground.bridges.outward import own_word
 from agent.process.certificates import credentials
 from agent.process.command import Failed, new_recording
 from agent.process.keys import VARIABLE
+from agent.process.links import NAME
 from agent.process.transport import Observer, fleet_clock
 from agent.robot.fleet_reader import load_fleet
 from replay.recorder import record, view
@@ -90,6 +92,12 @@ def about(path: Path, image: Image) -> str:
     )
 
 
+def check_target(name: str) -> None:
+    """Raises ConfigError for a name that no fleet file takes."""
+    if not NAME.fullmatch(name):
+        raise ConfigError(f"--target {printable(name)}: {NAME_RULE}; give another name")
+
+
 def target_table(fleet: Fleet, name: str, path: Path, image: Image) -> str:
     """What to put into the fleet file so that robots look for a thing in this picture. Raises Failed for a picture
     that is none for that."""
@@ -103,7 +111,7 @@ def target_table(fleet: Fleet, name: str, path: Path, image: Image) -> str:
     return (
         f"\n[target.{name}]\n"
         'detector = "box"\n'
-        f'picture = "{path.name}"   # beside the fleet file\n'
+        f"{tomli_w.dumps({'picture': path.name}).strip()}   # beside the fleet file\n"
         "box = [X, Y, WIDTH, HEIGHT]   # around the thing in it: pixels from the upper left corner"
     )
 

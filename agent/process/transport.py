@@ -188,7 +188,7 @@ class Observer:
         anyone = {"fleet": self._fleet.fleet, **topics.ANYBODY}
         if not self._once or row.writer != "src":
             return [topics.key(row, **anyone)]
-        told = ((name, robot.neighbours[0]) for name, robot in self._fleet.robot.items() if robot.neighbours)
+        told = told_first(self._fleet).items()
         return [topics.key(row, **{**anyone, "src": src, "dst": dst}) for src, dst in told]
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, _: TracebackType | None) -> None:
@@ -206,6 +206,11 @@ class Observer:
         row = topics.match(sample.key)
         if row and not unusable(sample, row[0]):
             self._received.append(Received(*row, sample.payload(), at_ns))
+
+
+def told_first(fleet: Fleet) -> dict[str, str]:
+    """Of each robot with neighbours the one whose copy stands for what all of them are told alike."""
+    return {name: robot.neighbours[0] for name, robot in fleet.robot.items() if robot.neighbours}
 
 
 # --- fleet clock ---

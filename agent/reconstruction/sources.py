@@ -43,6 +43,7 @@ from agent.reconstruction.views import (
 )
 from hw.camera.files import read_picture, turned
 from replay.check.reexecute import BlackBox, open_boxes
+from replay.report.timeline import of_one_fleet
 from replay.viewers.viewer_channels import SweepFrame
 from replay.whole_sweeps import Motion, TakenSweep, taken_sweeps, told
 
@@ -61,9 +62,10 @@ class Recorded(NamedTuple):
 def recorded_views(paths: Sequence[Path], progress: Progress) -> Recorded:
     """Views of all whole sweeps in black boxes and folders of them; progress counts recordings.
 
-    Raises ConfigError where there is none, or one is damaged.
+    Raises ConfigError where there is none, one is damaged, or they are not of one fleet.
     """
     boxes = open_boxes(paths)
+    of_one_fleet(boxes)
     views: dict[tuple[str, str, int], View] = {}
     passed_over: Counter[str] = Counter()
     for done, box in enumerate(boxes):

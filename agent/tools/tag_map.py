@@ -83,6 +83,21 @@ def remarks(found: Survey, looked_at: int) -> list[str]:
     return said
 
 
+def missing(found: Survey, landmarks: Landmarks, named: Sequence[int]) -> list[str]:
+    """What the fleet file lists and the survey lacks, in lines. `named`: by --known.
+
+    An old place is not copied into the survey: it is of another frame, and [landmarks] has one sigma for all tags.
+    """
+    found_ids = {each.tag.id for each in found.tags}
+    said = []
+    if silent := [str(one) for one in named if one not in found_ids]:
+        said.append(f"--known {', '.join(silent)}: in no picture that is used, so that its place does not count")
+    if lost := [str(tag.id) for tag in landmarks.tag if tag.id not in found_ids]:
+        said.append(f"in the fleet file, and left out of the survey as no picture places them: {', '.join(lost)}")
+        said[-1] += "; film them too, or robots lose them"
+    return said
+
+
 def block(found: Survey, fleet: Fleet) -> str:
     """The table [landmarks], as uncertain as the worst of its tags. Raises Failed for what no fleet file may say."""
     assert fleet.landmarks is not None
@@ -400,7 +415,8 @@ def run(source: str, fleet_path: Path, asked: Asked, console: Console) -> Survey
     found = survey(views, fleet, known, asked.flat)
     text = block(found, fleet)
     console.print(table(found))
-    for line in (*remarks(found, views.looked_at), *views.said):
+    assert fleet.landmarks is not None
+    for line in (*remarks(found, views.looked_at), *missing(found, fleet.landmarks, asked.known), *views.said):
         console.print(line)
     if asked.out is None:
         console.print(text, highlight=False)

@@ -43,6 +43,11 @@ def test_what_is_no_black_box_is_refused(tmp_path: Path) -> None:
         recorded_views([tmp_path], lambda done, total: None)
 
 
+def test_dives_of_two_tanks_are_no_scene() -> None:
+    with pytest.raises(ConfigError, match=r"is of the fleet 'navigation', not 'tank' as .*seen/r1\.mcap"):
+        recorded_views([SEEN, SEEN.parent / "swim"], lambda done, total: None)
+
+
 def test_frames_without_a_target_are_laid_on_each_other_by_what_they_show() -> None:
     box = open_box(SEEN / "r1.mcap")
     ((frames, tilt_rad),) = list(whole_sweeps(read(box.path), box.fleet.camera.sweep_steps))

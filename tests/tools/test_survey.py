@@ -14,7 +14,7 @@ from agent.__main__ import main
 from agent.core.codec import encode
 from agent.core.config import ConfigError, Landmarks, Tag, dump, read_toml
 from agent.core.step_io import Inputs, SeenTags
-from agent.process.command import Failed, shipped_fleet
+from agent.process.command import Failed, shipped_fleet, terminal
 from agent.robot.fleet_reader import load_fleet
 from agent.tools import tag_map as verb
 from agent.tools.tag_bundle import bundle, turn_of, turned_by
@@ -25,6 +25,7 @@ from agent.tools.tag_map import (
     check_out,
     fresh,
     known_tags,
+    missing,
     priors,
     put,
     recorded,
@@ -147,6 +148,27 @@ def test_the_verb_prints_writes_and_keeps_what_was_there(filmed, tmp_path, monke
     assert (tmp_path / "tags.toml.before").read_text() == before
     with pytest.raises(ConfigError, match=r"holds more than \[landmarks\]"):
         check_out(fleet)
+
+
+def test_tags_of_the_fleet_file_that_nobody_filmed_are_named(filmed, tmp_path, monkeypatch, capsys):
+    fleet = tmp_path / "fleet.toml"
+    fleet.write_text(dump(FLEET))
+    unseen = [frame._replace(tags=tuple(tag for tag in frame.tags if tag.id not in (0, 9))) for frame in filmed[1]]
+    monkeypatch.setattr(verb, "filmed", lambda *rest: Views([each for each in unseen if len(each.tags) > 1], 30, 0.002))
+    asked = Asked(calibration=tmp_path / "r1.toml", out=tmp_path / "tags.toml", known=(0, 4, 11))
+    run("film.mp4", fleet, asked, terminal())
+    said = capsys.readouterr().out
+    assert "--known 0: in no picture" in said
+    written = {tag["id"] for tag in read_toml(tmp_path / "tags.toml")["landmarks"]["tag"]}
+    lost = [tag.id for tag in LISTED.tag if tag.id not in written]
+    assert {0, 9} <= set(lost)
+    assert f"left out of the survey as no picture places them: {', '.join(map(str, lost))}; film" in said
+
+
+def test_a_survey_of_all_tags_says_nothing_of_others(filmed):
+    found = survey(Views(filmed[1], 24, 0.002), FLEET, known_tags(FLEET, KNOWN, "fleet.toml"), flat=True)
+    all_of_them = replace(LISTED, tag=tuple(each.tag for each in found.tags))
+    assert missing(found, all_of_them, KNOWN) == []
 
 
 def test_what_cannot_be_surveyed_is_one_line(filmed, tmp_path, monkeypatch):

@@ -10,6 +10,8 @@ from __future__ import annotations
 import errno
 import math
 import socket
+import struct
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
@@ -35,7 +37,8 @@ from agent.process.transport import LOOKER, Observer, fleet_clock
 # A vehicle as messages of MAVLink. Pure; what is not known is marked as such, or left out. Source: common.xml.
 
 EARTH_M = 6_378_137.0  # equatorial radius of WGS84
-NONE16 = 2**16 - 1  # not known
+NONE16, MOST32 = 2**16 - 1, 2**32 - 1  # not known; the most that an uint32 says
+MOST_M, MOST_DEG = 2e6, 214.0  # beyond, an int32 cannot say it in millimetres, in 1e-7 degrees
 PRESSURE, CAMERA, MOTORS = (
     mavlink.MAV_SYS_STATUS_SENSOR_ABSOLUTE_PRESSURE,
     mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION,
@@ -47,7 +50,7 @@ SEVERITY: dict[Level, int] = {
     "error": mavlink.MAV_SEVERITY_ERROR,
 }
 TEXT_BYTES = 50  # of one STATUSTEXT
-NO_FIX, STATIC = mavlink.GPS_FIX_TYPE_NO_FIX, mavlink.GPS_FIX_TYPE_STATIC
+NO_FIX, FLAT, STATIC = mavlink.GPS_FIX_TYPE_NO_FIX, mavlink.GPS_FIX_TYPE_2D_FIX, mavlink.GPS_FIX_TYPE_STATIC
 
 
 class Origin(NamedTuple):
@@ -56,11 +59,20 @@ class Origin(NamedTuple):
     latitude_deg: float
     longitude_deg: float
 
-    def place(self, north_m: float, east_m: float) -> tuple[int, int]:
-        """Latitude and longitude, 1e-7 degrees."""
+    def place(self, north_m: float | None, east_m: float | None) -> tuple[int, int] | None:
+        """Latitude and longitude, 1e-7 degrees; None where they are not known, or too far away to be said."""
+        if north_m is None or east_m is None:
+            return None
         latitude = self.latitude_deg + math.degrees(north_m / EARTH_M)
         longitude = self.longitude_deg + math.degrees(east_m / EARTH_M / math.cos(math.radians(self.latitude_deg)))
+        if max(abs(latitude), abs(longitude)) > MOST_DEG:
+            return None
         return round(latitude * 1e7), round(longitude * 1e7)
+
+
+def down_mm(v: Vehicle) -> int | None:
+    """None where its depth is not known, or more than can be said."""
+    return None if v.depth_m is None or abs(v.depth_m) > MOST_M else round(1000.0 * v.depth_m)
 
 
 def heartbeat(v: Vehicle) -> Any:
@@ -75,23 +87,25 @@ def each_second(v: Vehicle, origin: Origin) -> Iterator[Any]:
     enabled = PRESSURE | CAMERA | (MOTORS if v.armed else 0)
     health = MOTORS | (PRESSURE if v.pressure_works else 0) | (CAMERA if v.camera_works else 0)
     parts = (PRESSURE | CAMERA | MOTORS, enabled, health)
-    battery_mv = NONE16 if v.battery_v is None else round(1000.0 * v.battery_v)
+    battery_mv = NONE16 if v.battery_v is None else 1000.0 * v.battery_v
+    battery_mv = round(battery_mv) if 0.0 <= battery_mv < NONE16 else NONE16
     yield mavlink.MAVLink_sys_status_message(*parts, 0, battery_mv, -1, -1, 0, 0, 0, 0, 0, 0)
-    if v.north_m is None or v.east_m is None:
+    if (place := origin.place(v.north_m, v.east_m)) is None:
         yield mavlink.MAVLink_gps_raw_int_message(0, NO_FIX, 0, 0, 0, NONE16, NONE16, NONE16, NONE16, 255)
         return
-    moored = v.place_sigma_m is None
+    fix = STATIC if v.place_sigma_m is None else mavlink.GPS_FIX_TYPE_3D_FIX
+    down, sigma_mm = down_mm(v), 1000.0 * (v.place_sigma_m or 0.0)
     yield mavlink.MAVLink_gps_raw_int_message(
         v.boot_ms * 1000,
-        STATIC if moored else mavlink.GPS_FIX_TYPE_3D_FIX,
-        *origin.place(v.north_m, v.east_m),
-        -round(1000.0 * (v.depth_m or 0.0)),
+        FLAT if down is None else fix,
+        *place,
+        -(down or 0),
         NONE16,  # dilutions of precision, speed and course
         NONE16,
         NONE16,
         NONE16,
         255,  # satellites
-        h_acc=0 if v.place_sigma_m is None else round(1000.0 * v.place_sigma_m),
+        h_acc=round(sigma_mm) if 0.0 <= sigma_mm < MOST32 else MOST32,
     )
 
 
@@ -99,21 +113,19 @@ def each_state(v: Vehicle, origin: Origin) -> Iterator[Any]:
     """How it hangs, where it is. Rates are not known, and 0: these messages have no word for that."""
     if v.roll_rad is not None and v.pitch_rad is not None and v.yaw_rad is not None:
         yield mavlink.MAVLink_attitude_message(v.boot_ms, v.roll_rad, v.pitch_rad, v.yaw_rad, 0.0, 0.0, 0.0)
-    if v.depth_m is None:
+    if v.depth_m is None or (down := down_mm(v)) is None:
         return
     heading_deg = None if v.yaw_rad is None else math.degrees(v.yaw_rad) % 360.0
-    if v.north_m is not None and v.east_m is not None:
-        down_mm = round(1000.0 * v.depth_m)
+    if (place := origin.place(v.north_m, v.east_m)) is not None:
         heading = NONE16 if heading_deg is None else round(100.0 * heading_deg) % 36000
-        place = origin.place(v.north_m, v.east_m)
-        yield mavlink.MAVLink_global_position_int_message(v.boot_ms, *place, -down_mm, -down_mm, 0, 0, 0, heading)
+        yield mavlink.MAVLink_global_position_int_message(v.boot_ms, *place, -down, -down, 0, 0, 0, heading)
         yield mavlink.MAVLink_local_position_ned_message(v.boot_ms, v.north_m, v.east_m, v.depth_m, 0.0, 0.0, 0.0)
     if heading_deg is not None:
         yield mavlink.MAVLink_vfr_hud_message(0.0, 0.0, round(heading_deg) % 360, 0, -v.depth_m, 0.0)
 
 
 def global_origin(origin: Origin) -> Any:
-    return mavlink.MAVLink_gps_global_origin_message(*origin.place(0.0, 0.0), 0)
+    return mavlink.MAVLink_gps_global_origin_message(*(round(1e7 * degrees) for degrees in origin), 0)
 
 
 def version() -> Any:
@@ -235,6 +247,7 @@ BEATS_AN_ORIGIN = 5
 MOST_UNDER_WAY = 64  # orders that wait for an answer; and as many that are urgent
 READS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
 TAKEN_NS = 5_000_000_000  # a stranger's heartbeat with a robot's number is minded for so long
+UNFIT = "a value does not fit into it"
 READ_ONLY = "this bridge only looks; to order, start it with --as NAME"
 
 Done = Callable[[Outcome], None]
@@ -277,6 +290,7 @@ class Gateway:
         self._beat_ns: dict[str, int] = {}  # when each robot's heart beat last, and how often it has
         self._beats = dict.fromkeys(fleet.robot, 0)
         self._lines = 0
+        self.dropped: Counter[tuple[str, str]] = Counter()  # robot and kind of what could not be packed
 
     def shown(self, message: State | LogLine, arrived_ns: int, wall_ns: int) -> None:
         """What a robot shows."""
@@ -406,7 +420,14 @@ class Gateway:
     def _tell(self, robot: str, messages: Iterable[Any]) -> None:
         writer = self._writers[robot]
         for message in messages:
-            self._send(message.pack(writer))
+            try:
+                data = message.pack(writer)
+            except (struct.error, OverflowError):  # a number of the robot's that the field does not hold
+                self.dropped[robot, message.get_type()] += 1
+                if self.dropped[robot, message.get_type()] == 1:
+                    self._warn(robot, f"{message.get_type()} left out: {UNFIT}")
+                continue
+            self._send(data)
             writer.seq = (writer.seq + 1) % 256
 
 
@@ -478,6 +499,8 @@ def run(
                 if isinstance(shown := own_word(received), State | LogLine):
                     gateway.shown(shown, received.arrived_ns, machine.monotonic_ns())
             gateway.tick(clock.now_ns(), machine.monotonic_ns())
+        for (robot, kind), count in gateway.dropped.items():
+            say(f"{robot}: {kind} left out {count} times: {UNFIT}")
 
 
 @contextmanager

@@ -23,6 +23,7 @@ from agent.core.messages import Estimate, Image, Message, State
 from agent.core.robot_view import robot_view
 from agent.core.topics import IMAGE, LINK, STATE, Topic, target_chunk
 from agent.ground.bridges.outward import WORLD, Foreign
+from agent.process.transport import told_first
 from replay.files.info import suspecting
 from replay.report.timeline import FleetFile, open_fleet_file, said_in
 
@@ -181,6 +182,7 @@ class Ros2:
 
     def __init__(self, fleet: Fleet, domain: int) -> None:
         self._fleet, self._domain, self.telling = fleet, domain, Telling(fleet)
+        self._told_first = told_first(fleet)
         self._nodes: dict[str, Node] = {}
         self._numbers: Counter[str] = Counter()  # of each topic's messages so far
 
@@ -200,11 +202,14 @@ class Ros2:
             yield Foreign(to.key, payload, to.attachment(self._numbers[to.key], now_ns))
 
     def topic(self, message: Message) -> tuple[str, str]:
-        """Robot, and what stands in the topic behind its name."""
+        """Robot, and what stands in the topic behind its name; empty for what is left out, such as copies of what
+        its first neighbour is told."""
         match message:
             case State():
                 return message.robot, POSE
-            case Estimate() if message.target in self._fleet.target:
+            case Estimate() if (
+                message.target in self._fleet.target and self._told_first.get(message.src) == message.dst
+            ):
                 return message.src, self.telling.target_topic(message.target)
             case Image():
                 return message.robot, CAMERA

@@ -11,7 +11,7 @@ pytest.importorskip("pymavlink", reason="pip install 'aucamp[mavlink]'")
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.core.config import ConfigError, Fleet
-from agent.core.messages import LogLine
+from agent.core.messages import LogLine, Whereabouts
 from agent.ground.bridges.mavlink import MOST_SYSTEMS, READ_ONLY, _held, _listen, numbered
 from agent.ground.console import Outcome
 from tests.ground.bridges.states import START_NS, S, state
@@ -82,6 +82,59 @@ def test_what_nobody_knows_is_not_told(station: Station) -> None:
     assert told["GPS_RAW_INT"].fix_type == mavlink.GPS_FIX_TYPE_NO_FIX
     assert told["SYS_STATUS"].voltage_battery == 2**16 - 1
     assert told["HEARTBEAT"].system_status == mavlink.MAV_STATE_CRITICAL
+
+
+def at(**about: float) -> dict[str, Any]:
+    """A robot that swims."""
+    rest = {"x_m": 0.3, "y_m": 0.9, "yaw_deg": 0.0, "place_sigma_m": 0.02, "yaw_sigma_deg": 1.0}
+    return {"whereabouts": Whereabouts(**{**rest, **about}), "behaviour": "hold"}
+
+
+NO_PLACE = {"GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"}
+
+
+@pytest.mark.parametrize(
+    ("about", "missing", "fix"),
+    [
+        ({"battery_v": 100.0}, set(), mavlink.GPS_FIX_TYPE_STATIC),
+        ({"battery_v": -1.0}, set(), mavlink.GPS_FIX_TYPE_STATIC),
+        ({"battery_v": 1e308}, set(), mavlink.GPS_FIX_TYPE_STATIC),
+        ({"depth_m": 1e7}, {*NO_PLACE, "VFR_HUD"}, mavlink.GPS_FIX_TYPE_2D_FIX),
+        ({"depth_m": -1e308}, {*NO_PLACE, "VFR_HUD"}, mavlink.GPS_FIX_TYPE_2D_FIX),
+        (at(x_m=1e9), NO_PLACE, mavlink.GPS_FIX_TYPE_NO_FIX),
+        (at(y_m=-1e308), NO_PLACE, mavlink.GPS_FIX_TYPE_NO_FIX),
+        (at(place_sigma_m=1e9), set(), mavlink.GPS_FIX_TYPE_3D_FIX),
+        (at(place_sigma_m=-1.0), set(), mavlink.GPS_FIX_TYPE_3D_FIX),
+        ({"roll_deg": 1e300}, {"ATTITUDE"}, mavlink.GPS_FIX_TYPE_STATIC),
+    ],
+    ids=str,
+)
+def test_what_no_field_holds_is_left_out_and_all_else_is_told(
+    station: Station, about: dict[str, Any], missing: set[str], fix: int
+) -> None:
+    station.gateway.shown(state("r1", **{"battery_v": 14.8, **about}), START_NS, START_NS)
+    station.gateway.shown(state("r2"), START_NS, START_NS)
+    station.gateway.tick(START_NS, START_NS)
+    told = station.hears()
+    first = {one.get_type(): one for system, one in told if system == 1}
+    assert {one.get_type() for system, one in told if system == 2} - first.keys() == missing
+    assert first["SYS_STATUS"].voltage_battery == (2**16 - 1 if "battery_v" in about else 14800)
+    assert first["GPS_RAW_INT"].fix_type == fix
+
+
+def test_a_message_that_cannot_be_packed_is_said_once_and_counted(station: Station) -> None:
+    for seq in (1, 2):
+        station.gateway.shown(state("r1", seq=seq, roll_deg=1e300), START_NS, START_NS)
+    texts = [one.text for _, one in station.hears("STATUSTEXT")]
+    assert texts == ["ATTITUDE left out: a value does not fit into it"]
+    assert station.gateway.dropped == {("r1", "ATTITUDE"): 2}
+
+
+def test_a_fix_without_a_depth_has_no_height(station: Station) -> None:
+    station.gateway.shown(state("r1", depth_m=None), START_NS, START_NS)
+    station.gateway.tick(START_NS, START_NS)
+    (_, fix) = station.hears("GPS_RAW_INT")[0]
+    assert fix.fix_type == mavlink.GPS_FIX_TYPE_2D_FIX and fix.lat != 0
 
 
 @pytest.mark.parametrize(

@@ -148,6 +148,8 @@ def test_a_recording_is_a_bag_that_others_read(tmp_path) -> None:
     assert sum(number for _, number in told.values()) == count
     assert told["/r1/pose"][0] == "geometry_msgs/msg/PoseStamped" and told["/r2/pose"][1] > 10
     assert {each.header.frame_id for each in placed} == {"world"} and len(placed) > 10
+    stamps = [(each.header.stamp.sec, each.header.stamp.nanosec) for each in placed]
+    assert len(set(stamps)) == len(stamps)  # once, and not once for each neighbour
 
 
 def test_a_bag_is_made_of_a_fleet_s_recording_or_not_at_all(tmp_path) -> None:

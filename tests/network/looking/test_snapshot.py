@@ -8,6 +8,7 @@ import subprocess
 import sys
 import threading
 import time
+import tomllib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -104,6 +105,22 @@ def test_no_target_is_made_of_a_picture_that_is_none_of_the_camera(make_fleet: F
         target_table(fleet, "fish", path, replace(PICTURE, enhanced=True))
     with pytest.raises(Failed, match="full 640x480"):
         target_table(fleet, "fish", path, replace(PICTURE, width_px=320, height_px=240))
+
+
+def test_the_table_of_a_target_is_toml_whatever_the_picture_is_called(make_fleet: Fleets) -> None:
+    table = target_table(make_fleet({"r1": ()}), "fish", Path('a"b\\.jpg'), PICTURE)
+    told = tomllib.loads(table.replace("X, Y, WIDTH, HEIGHT", "1, 2, 3, 4"))
+    assert told["target"]["fish"]["picture"] == 'a"b\\.jpg'
+
+
+def test_a_name_that_no_fleet_file_takes_is_refused_before_a_picture_is_taken(make_fleet: Fleets, tmp_path) -> None:
+    fleet, out = tmp_path / "fleet.toml", tmp_path / "p.jpg"
+    fleet.write_text(dump(make_fleet({"r1": ()})))
+    said = CliRunner().invoke(
+        app, ["snapshot", str(fleet), "--robot", "r1", "--out", str(out), "--target", "My stone"], standalone_mode=False
+    )
+    assert str(said.exception).startswith("--target My stone: a name is a small letter and up to 15 small letters")
+    assert not out.exists()
 
 
 # --- messages page ---
