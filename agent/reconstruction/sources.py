@@ -43,7 +43,6 @@ from agent.reconstruction.views import (
 )
 from hw.camera.files import read_picture, turned
 from replay.check.reexecute import BlackBox, open_boxes
-from replay.report.timeline import of_one_fleet
 from replay.viewers.viewer_channels import SweepFrame
 from replay.whole_sweeps import Motion, TakenSweep, taken_sweeps, told
 
@@ -62,10 +61,12 @@ class Recorded(NamedTuple):
 def recorded_views(paths: Sequence[Path], progress: Progress) -> Recorded:
     """Views of all whole sweeps in black boxes and folders of them; progress counts recordings.
 
-    Raises ConfigError where there is none, one is damaged, or they are not of one fleet.
+    Raises ConfigError where there is none, one is damaged, or they are of tanks of two sizes.
     """
     boxes = open_boxes(paths)
-    of_one_fleet(boxes)
+    for box in boxes:
+        if box.fleet.tank.size_m != boxes[0].fleet.tank.size_m:  # the surface may rise from dive to dive
+            raise ConfigError(f"{box.path}: is of another tank than {boxes[0].path}; give those of one tank alone")
     views: dict[tuple[str, str, int], View] = {}
     passed_over: Counter[str] = Counter()
     for done, box in enumerate(boxes):

@@ -44,7 +44,7 @@ def test_what_is_no_black_box_is_refused(tmp_path: Path) -> None:
 
 
 def test_dives_of_two_tanks_are_no_scene() -> None:
-    with pytest.raises(ConfigError, match=r"is of the fleet 'navigation', not 'tank' as .*seen/r1\.mcap"):
+    with pytest.raises(ConfigError, match=r"swim/r1\.mcap: is of another tank than .*seen/r1\.mcap"):
         recorded_views([SEEN, SEEN.parent / "swim"], lambda done, total: None)
 
 
