@@ -99,6 +99,7 @@ LOUD = ("warning", "error")  # levels of the log
 ORDERED = " orders: "  # agent.robot.operator: what people ordered is no trouble
 SWEEP = "sweep"  # that one comes to nothing is no trouble: the next one follows
 OVER = "over: "  # agent.core.status: the end of a fault
+BARE = "no IMU"  # hw.stm32.protocol: what a robot is built without is no event of a dive; its log has it
 
 
 class Found(NamedTuple):
@@ -225,7 +226,7 @@ def _robot(timeline: RobotTimeline) -> RobotOutcome:
             line.level in LOUD
             and ORDERED not in line.text
             and SWEEP not in line.text
-            and not line.text.startswith(OVER)
+            and not line.text.startswith((OVER, BARE))
         ):
             warned.setdefault(fault_kind(line.text))
     faults = last.faults if last is not None else ()

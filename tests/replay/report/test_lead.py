@@ -10,6 +10,7 @@ import msgspec
 import pytest
 
 from agent.core.config import Fleet
+from agent.core.messages import LogLine
 from replay.check.reexecute import open_boxes
 from replay.files.channels import Entry
 from replay.files.info import info
@@ -79,6 +80,14 @@ def test_a_robot_that_ended_early_and_one_that_failed_are_named() -> None:
     assert "; r1 ended after 9.0 s of 16 s; r3 failed after 16 s." in text
     overheard = early._replace(ends_s=9.0, boxes=())
     assert "; r1 fell silent after 9.0 s of 16 s." in said(run._replace(timelines=[overheard, other, last]))
+
+
+def test_what_a_robot_is_built_without_is_in_its_log_alone() -> None:
+    run = open_run(GOLDEN / "three")
+    for text, told in (("no IMU: sensors may drift", False), ("battery low: 10.1 V", True)):
+        line = LogLine(robot="r1", sent_ns=1, level="warning", text=text)
+        first, *others = run.timelines
+        assert ("warned of" in said(run._replace(timelines=[first._replace(log=((1.0, line),)), *others]))) == told
 
 
 def test_a_survey_has_its_own_rows_and_its_floor() -> None:
