@@ -23,6 +23,11 @@ def monotonic_s() -> float:
     return time.monotonic()
 
 
+def since_boot_s() -> float:
+    """Time that goes on while the computer sleeps, where the system has such a clock."""
+    return time.clock_gettime(getattr(time, "CLOCK_BOOTTIME", time.CLOCK_MONOTONIC))
+
+
 def unix_ns() -> int:
     """Time of day; it may step."""
     return time.time_ns()

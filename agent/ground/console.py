@@ -39,6 +39,8 @@ ANSWER_S = 1.0  # a robot answers with its next step: 50 ms
 HEARD_S = 2.0  # a link is there in less than one, and states come five times a second
 AGAIN_S = 0.05  # nobody was there to ask: the link has just come, or has just gone
 
+Basis = tuple[int, int]  # incarnation and sent_ns of the State by which a person decided
+
 
 class Outcome(NamedTuple):
     """What became of an order at one robot."""
@@ -110,26 +112,31 @@ class OrderConsole:
         answer_s: float = ANSWER_S,
         heard_s: float = HEARD_S,
         everybody: bool = False,
+        seen: Mapping[str, Basis] | None = None,
     ) -> Iterator[tuple[str, Outcome]]:
         """Order these robots, each as soon as it is heard; what became of it at each, as it comes: until `heard_s` for
         the first sign of a robot, and then `answer_s` for its answer. Raises Refusal for an order that cannot be.
 
         everybody: robots of this fleet that its file lacks are accounted for as well, and told to stop if this console
-        is linked to them.
+        is linked to them. seen: by which State of a robot the person decided; else by its newest when it is asked
+        first. However often it is asked, the order goes by that one: what was held up on its way is refused.
         """
         arguments(verb, args or {})
         order = Order(id=next(self._ids), session=self._session_ns, verb=verb, args=args or {})
-        start_s = machine.monotonic_s()
-        asked = {robot: _Asked() for robot in robots}
+        start_s = machine.since_boot_s()
+        asked = {robot: _Asked((seen or {}).get(robot)) for robot in robots}
         named = set(asked)
-        while asked or (everybody and self._shows_nothing(named) and machine.monotonic_s() - start_s < heard_s):
+        while asked or (everybody and self._shows_nothing(named) and machine.since_boot_s() - start_s < heard_s):
             for robot in self._linked() - named if everybody and verb in URGENT else ():
                 named.add(robot)
                 asked[robot] = _Asked()
             for robot, one in asked.items():
-                if (seen := self._sign_of(robot, verb)) is not None and one.begin(machine.monotonic_s()):
-                    self._ask(robot, replace(order, seen=seen or None), one, answer_s)
-            now_s = machine.monotonic_s()
+                now_s = machine.since_boot_s()
+                if (sign := self._sign_of(robot, verb)) is None or one.is_over(now_s, start_s, heard_s, answer_s):
+                    continue
+                if one.begin(now_s, sign):
+                    self._ask(robot, replace(order, seen=one.seen), one, answer_s)
+            now_s = machine.since_boot_s()
             with self._changed:
                 for one in asked.values():
                     one.give_up(now_s, start_s, heard_s, answer_s)
@@ -164,7 +171,7 @@ class OrderConsole:
         found = {**heard, **dict.fromkeys(self._linked(), "it is heard")}
         return {robot: why for robot, why in found.items() if robot not in self._fleet.robot}
 
-    def _sign_of(self, robot: str, verb: str) -> tuple[int, int] | tuple[()] | None:
+    def _sign_of(self, robot: str, verb: str) -> Basis | tuple[()] | None:
         """What an order to it says that was seen; None: nothing was, and it cannot be asked yet. What may come late
         needs nothing but that it is there."""
         with self._changed:
@@ -178,12 +185,12 @@ class OrderConsole:
         def replied(reply: Reply) -> None:
             with self._changed:
                 if reply.key in ("", key):  # anybody may answer: believed is an answer of this robot, to this order
-                    asked.hear(reply, robot, order, machine.monotonic_s())
+                    asked.hear(reply, robot, order, machine.since_boot_s())
                 self._changed.notify()
 
         def over() -> None:
             with self._changed:
-                asked.over(machine.monotonic_s())
+                asked.over(machine.since_boot_s())
                 self._changed.notify()
 
         self._session.ask(Order, key, encode(order), answer_s, replied, over)
@@ -209,19 +216,25 @@ class OrderConsole:
 class _Asked:
     """One robot, while an order is under way."""
 
-    def __init__(self) -> None:
+    def __init__(self, seen: Basis | None = None) -> None:
+        self.seen = seen  # by which State it is ordered; once it was asked, for good
         self.outcome: Outcome | None = None
         self._first_s: float | None = None  # when it was asked first
         self._again_s = 0.0
         self._open = False  # a question is under way
         self._error = ""
 
-    def begin(self, now_s: float) -> bool:
-        """Whether it is to be asked now, and then it is."""
+    def begin(self, now_s: float, sign: Basis | tuple[()]) -> bool:
+        """Whether it is to be asked now, and then it is. sign: what is seen of it now."""
         if self.outcome is not None or self._open or now_s < self._again_s:
             return False
         self._first_s, self._open = self._first_s or now_s, True
+        self.seen = self.seen or sign or None
         return True
+
+    def is_over(self, now_s: float, start_s: float, heard_s: float, answer_s: float) -> bool:
+        """Whether it is too late for a question: this computer may have slept."""
+        return now_s - start_s > heard_s if self._first_s is None else now_s - self._first_s >= answer_s
 
     def hear(self, reply: Reply, robot: str, order: Order, now_s: float) -> None:
         try:
@@ -243,11 +256,12 @@ class _Asked:
         """Say so where nothing is to be expected any more."""
         if self.outcome is not None:
             return
+        if not self.is_over(now_s, start_s, heard_s, answer_s):
+            return
         if self._first_s is None:
-            if now_s - start_s > heard_s:
-                text = f"was not heard in {heard_s:g} s, and was told nothing: order again"
-                self.outcome = Outcome(None, text, now_s - start_s)
-        elif now_s - self._first_s >= answer_s:
+            text = f"was not heard in {heard_s:g} s, and was told nothing: order again"
+            self.outcome = Outcome(None, text, now_s - start_s)
+        else:
             why = "" if self._error in ("", "Timeout") else f": {self._error}"
             text = f"did not answer within {answer_s:g} s{why}; the order may still act"
             self.outcome = Outcome(None, text, now_s - self._first_s)

@@ -245,6 +245,7 @@ COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 BEAT_NS = 1_000_000_000
 BEATS_AN_ORIGIN = 5
 MOST_UNDER_WAY = 64  # orders that wait for an answer; and as many that are urgent
+STALLED_S = 1.0  # a turn of the loop takes a tenth of that; this process was stopped, or its computer slept
 READS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
 TAKEN_NS = 5_000_000_000  # a stranger's heartbeat with a robot's number is minded for so long
 UNFIT = "a value does not fit into it"
@@ -492,8 +493,13 @@ def run(
         say(f"to udp://{HOST}:{port}, where a ground station of this machine listens: {said}; Ctrl-C ends it")
         reader = mavlink.MAVLink(None)
         reader.robust_parsing = True
+        turned_s = machine.since_boot_s()
         while not stop.is_set():
-            for message in _arrived(link, reader, stop):
+            messages, before_s, turned_s = _arrived(link, reader, stop), turned_s, machine.since_boot_s()
+            if turned_s - before_s > STALLED_S:  # nobody knows how old an order of that time is
+                say(f"nothing was done for {turned_s - before_s:.1f} s; what a ground station said then is dropped")
+                messages = _dropped(link)
+            for message in messages:
                 gateway.heard(message, clock.now_ns(), machine.monotonic_ns())
             for received in observer.drain():
                 if isinstance(shown := own_word(received), State | LogLine):
@@ -561,6 +567,14 @@ def _arrived(link: socket.socket, reader: Any, stop: Event) -> list[Any]:
     return reader.parse_buffer(data) or []
 
 
+def _dropped(link: socket.socket) -> list[Any]:
+    """Nothing, and nothing waits any more."""
+    with suppress(OSError):
+        while True:
+            link.recv(DATAGRAM, socket.MSG_DONTWAIT)
+    return []
+
+
 @contextmanager
 def _ordering(console: OrderConsole) -> Iterator[Give]:
     """Orders, each in a thread, since they wait for their answer."""
@@ -571,6 +585,8 @@ def _ordering(console: OrderConsole) -> Iterator[Give]:
                 error = future.exception()
                 done(Outcome(None, f"could not be given: {error}") if error else future.result())
 
-            threads.submit(lambda: console.order([robot], verb)[robot]).add_done_callback(over)
+            shown = console.states().get(robot)
+            seen = {} if shown is None else {robot: (shown.incarnation, shown.sent_ns)}
+            threads.submit(lambda: dict(console.orders([robot], verb, seen=seen))[robot]).add_done_callback(over)
 
         yield give

@@ -210,8 +210,8 @@ def give(console: OrderConsole, robots: list[str], verb: str, args: Mapping[str,
     """Order, and tell what comes of it at each robot as it comes. Raises Refusal for what cannot be ordered, or was
     decided by an old page.
 
-    The console goes by the newest State that has reached this process. What a page shows may be older: it was frozen,
-    or its browser is far away.
+    What a page shows may be older than what has reached this process: it was frozen, or its browser is far away. And
+    this process may have slept itself: robots are told what the page showed, and refuse what is too old.
     """
     if verb not in (*URGENT, CLOCK):
         newest = console.states()
@@ -219,7 +219,7 @@ def give(console: OrderConsole, robots: list[str], verb: str, args: Mapping[str,
             if robot in newest and _is_behind(looked_at, newest[robot]):
                 raise Refusal("clock", f"the page showed {robot} as it was seconds ago; look at it, and order again")
     everybody = verb in URGENT and console.robots <= set(robots)
-    for robot, outcome in console.orders(robots, verb, args, everybody=everybody):
+    for robot, outcome in console.orders(robots, verb, args, everybody=everybody, seen=seen):
         answer = outcome.answer
         if answer is None:
             yield Reply(robot, None, outcome.why, "")

@@ -150,14 +150,14 @@ class Console:
     def __init__(self, newest) -> None:
         self.given: list[str] = []
         self._newest = newest
-        self.robots, self.everybody = frozenset({"r1", "r2"}), False
+        self.robots, self.everybody, self.seen = frozenset({"r1", "r2"}), False, {}
 
     def states(self):
         return {"r1": self._newest}
 
-    def orders(self, robots, verb, args, everybody):
+    def orders(self, robots, verb, args, everybody, seen):
         self.given.append(verb)
-        self.everybody = everybody
+        self.everybody, self.seen = everybody, seen
         return iter(())
 
 
@@ -170,6 +170,7 @@ def test_an_order_by_a_page_that_was_frozen_does_not_go_out_but_a_stop_does() ->
     list(give(console, ["r1"], "stop", {}, looked_at))
     list(give(console, ["r1"], "arm", {}, {"r1": (NOW_NS - 5, NOW_NS + 2_000_000_000)}))
     assert console.given == ["stop", "arm"]
+    assert console.seen == {"r1": (NOW_NS - 5, NOW_NS + 2_000_000_000)}, "the robot, too, goes by what the page showed"
     with pytest.raises(Refusal):  # it has started again meanwhile
         list(give(console, ["r1"], "arm", {}, {"r1": (NOW_NS - 99, NOW_NS + 4_000_000_000)}))
 

@@ -16,9 +16,11 @@ os.environ.setdefault("MAVLINK20", "1")  # mavutil looks for it when it is impor
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
+from agent.clock import machine
 from agent.core.codec import decode
 from agent.core.config import Fleet, dump
 from agent.core.messages import Order
+from agent.ground.bridges import mavlink as bridge
 from agent.ground.bridges.mavlink import Origin, run
 from tests.network.conftest import unused_port
 from tests.network.orders.answering import Loop
@@ -72,18 +74,18 @@ def dive(make_fleet: Callable[..., Fleet], tmp_path: Path) -> Callable[..., Any]
         path.write_text(dump(fleet))
         robots = {name: Loop(fleet, name, tmp_path / "keys") for name in fleet.robot}
         station = mavutil.mavlink_connection(f"udpin:127.0.0.1:{port}", source_system=255)
-        bridge = threading.Thread(
+        loop = threading.Thread(
             target=run, args=(fleet, path, console, port, Origin(0.0, 0.0), stop, lambda line: None)
         )
         try:
             for robot in robots.values():
                 robot.transport.__enter__()
                 robot.start()
-            bridge.start()
+            loop.start()
             yield Dive(station, robots)
         finally:
             stop.set()
-            bridge.join()
+            loop.join()
             station.close()
             for robot in robots.values():
                 robot.ends.set()
@@ -128,6 +130,29 @@ def test_one_that_hangs_is_not_acknowledged_and_its_heart_stops(dive) -> None:
         assert here.systems(2.5) == {1, 3}
 
 
+def test_what_a_ground_station_said_while_the_bridge_slept_is_dropped(dive, monkeypatch: pytest.MonkeyPatch) -> None:
+    arrived, since_boot_s, slept_s = bridge._arrived, machine.since_boot_s, [0.0]
+
+    def sleeps(link: socket.socket, reader: Any, stop: threading.Event) -> list[Any]:
+        """Once, while an order comes."""
+        messages = arrived(link, reader, stop)
+        if not slept_s[0] and any(one.get_type() == "COMMAND_LONG" for one in messages):
+            slept_s[0] = 6.0
+        return messages
+
+    monkeypatch.setattr(bridge, "_arrived", sleeps)
+    monkeypatch.setattr(machine, "since_boot_s", lambda: since_boot_s() + slept_s[0])
+    with dive("ann") as here:
+        assert here.systems() == {1, 2, 3}
+        here.station.target_system, here.station.target_component = 1, 1
+        here.station.arducopter_arm()
+        until(lambda: slept_s[0] > 0.0)
+        assert here.ack(ARM, QUIET_S) is None and here.taken() == []
+        here.station.arducopter_disarm()
+        assert here.ack(ARM) == (1, mavlink.MAV_RESULT_ACCEPTED)
+        assert here.taken() == [("r1", "ann", "disarm")]
+
+
 def test_who_looks_only_looks(dive) -> None:
     with dive(None) as here:
         assert here.systems() == {1, 2, 3}
@@ -141,10 +166,10 @@ def test_who_looks_only_looks(dive) -> None:
 def test_a_datagram_of_another_port_is_nobodys(dive) -> None:
     with dive("ann") as here, socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
         assert here.systems() == {1, 2, 3}
-        bridge = next(iter(here.station.clients))
+        port = next(iter(here.station.clients))
         arm = mavlink.MAVLink_command_long_message(1, 1, ARM, 0, 1.0, *(0.0,) * 6).pack(mavlink.MAVLink(None, 255, 1))
         for _ in range(20):
-            stranger.sendto(arm, bridge)
+            stranger.sendto(arm, port)
         time.sleep(QUIET_S)
         assert here.taken() == []
         here.station.write(arm)  # the very same bytes, from the port that it talks to

@@ -13,12 +13,13 @@ import pytest
 import zenoh
 from msgspec.structs import replace
 
+from agent.clock import machine
 from agent.core import topics
 from agent.core.codec import decode, encode, encoding
 from agent.core.config import Access, ConfigError, Fleet, dump
 from agent.core.messages import MAX_ORDER, Answer, Order
 from agent.core.topics import ANSWER
-from agent.ground.console import OrderConsole, give, typed, verdict
+from agent.ground.console import OrderConsole, _Asked, give, typed, verdict
 from agent.process.links import ALL_WAITING, WAITING
 from agent.process.transport import Observer
 from router_config.settings import observer_config
@@ -102,6 +103,27 @@ def test_all_answer_and_the_order_says_which_state_was_seen(loops) -> None:
             assert order.seen[0] == 1 and abs(order.seen[1] - ordered.arrived_ns) < 5e9
         again = ann.order(["r1"], "stop")
         assert again["r1"].answer.id > outcomes["r1"].answer.id
+
+
+def test_an_order_goes_by_the_state_that_a_person_saw_however_late_it_leaves(loops) -> None:
+    looked_at = (1, 5)
+    with console(loops) as ann:
+        list(ann.orders(["r1"], "hold", {"depth_m": 0.2}, seen={"r1": looked_at}))
+        (ordered,) = loops["r1"].taken
+        assert decode(ordered.payload, Order).seen == looked_at
+    asked = _Asked()
+    assert asked.begin(0.0, (1, 7)) and asked.seen == (1, 7)
+    asked.over(0.1)
+    assert asked.begin(0.5, (1, 8)) and asked.seen == (1, 7), "asked again, it is the order that it was"
+
+
+def test_what_a_computer_slept_over_is_not_asked(loops, monkeypatch: pytest.MonkeyPatch) -> None:
+    with console(loops) as ann:
+        clock = iter([0.0])
+        monkeypatch.setattr(machine, "since_boot_s", lambda: next(clock, 10.0))
+        outcomes = ann.order(["r1"], "hold", {"depth_m": 0.2})
+        assert outcomes["r1"].answer is None and "was told nothing: order again" in outcomes["r1"].why
+    assert loops["r1"].taken == []
 
 
 def test_one_that_hangs_is_named_and_holds_up_nobody(loops) -> None:
