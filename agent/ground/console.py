@@ -29,6 +29,7 @@ from agent.core.topics import STATE
 from agent.core.verbs import CLOCK, URGENT, VERBS, arguments, prepare_all
 from agent.process.certificates import credentials
 from agent.process.command import meant
+from agent.process.links import called_twice
 from agent.robot.fleet_reader import load_robot
 from agent.robot.operator import why_closed
 from hw.firmware.parameters import NAMES, TABLE
@@ -146,6 +147,8 @@ class OrderConsole:
             for robot, outcome in over.items():
                 del asked[robot]
                 yield robot, outcome
+        for robot in sorted(named & called_twice(fault for state in self.states().values() for fault in state.faults)):
+            yield f"another {robot}", Outcome(None, f"two agents are called {robot}, and one was told nothing; end one")
         for robot, why in self._lacking().items() if everybody else ():
             if robot not in named:
                 what = "it was told nothing; order by the file that it was started with"

@@ -172,6 +172,9 @@ def _of(facts: Facts, one: str, other: str) -> NeighbourState | None:
 
 def _why(fleet: Fleet, facts: Facts, a: str, b: str, deaf: str) -> str:
     """Of the two the later name dials the other."""
+    said = next((fault for fault in facts.states[deaf].faults if fault.startswith(f"{b if deaf == a else a}: ")), None)
+    if said is not None:
+        return f"it refuses what it says: {said}"
     if any(_of(facts, one, other) is None for one, other in ((a, b), (b, a))):
         return "one of them does not have the other as a neighbour; give both the same fleet file"
     ends = {name: facts.shown[facts.links[name].session] for name in (a, b) if _is_shown(facts, name)}

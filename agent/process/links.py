@@ -14,7 +14,7 @@ import math
 import re
 import threading
 from collections import Counter, deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from msgspec import UNSET
@@ -294,6 +294,14 @@ class _Foreign(NamedTuple):
     session: str
 
 
+TWO, END_ONE = "two agents: two linked to us are called ", "; end one"
+
+
+def called_twice(faults: Iterable[str]) -> set[str]:
+    """Of which neighbours a robot with these faults is linked to two."""
+    return {fault.removeprefix(TWO).removesuffix(END_ONE) for fault in faults if fault.startswith(TWO)}
+
+
 class Tokens:
     """What tokens say, as far as it concerns one robot. `token` is called in Zenoh's threads, `faults` in the loop."""
 
@@ -325,7 +333,7 @@ class Tokens:
             witnesses, foreign = sorted(self._witnesses), sorted(self._foreign)
         self._tell(twice, announce)
         return (
-            *(f"two agents: two linked to us are called {name}; end one" for name in twice if name != self._robot),
+            *(f"{TWO}{name}{END_ONE}" for name in twice if name != self._robot),
             *(
                 f"two agents: another one called {name} is linked to us; end one"
                 for name in twice

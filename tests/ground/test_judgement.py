@@ -107,6 +107,11 @@ def test_who_hears_whom() -> None:
         (line,) = lines(age_s=age_s)
         mute = "their link is mute, and r2 dials r1 again each second and is turned away; start r1 again"
         assert line.startswith(f"wrong    r1: r1 does not hear r2: {mute}")
+    ahead = "r2: clock: its clock is more than three hours ahead of ours; set the clocks"
+    refuses = replace(state("r1", age_s=None), faults=(ahead,))
+    lines_of = said(facts(states={"r1": refuses, "r2": state("r2")}))
+    assert [line for line in lines_of if f"r1: r1 does not hear r2: it refuses what it says: {ahead}" in line]
+    assert not [line for line in lines_of if "mute" in line or "start" in line]
     deaf = facts(states={"r1": state("r1", age_s=None), "r2": state("r2")})
     other = Shown({**SAID["r2"], "rules": "others"}, frozenset({"0r1"}))
     (_, line) = said(deaf._replace(shown={**deaf.shown, "0r2": other}))

@@ -10,10 +10,13 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import zenoh
 from msgspec.structs import replace
 
 from agent.core.config import Fleet, dump
 from agent.robot.fleet_reader import load_fleet
+from router_config.session import Session
+from router_config.settings import peer_config
 from tests.network.relay import Links, Relay, refused
 
 NAMES = tuple(f"r{number}" for number in range(1, 7))
@@ -30,14 +33,11 @@ pytestmark = [
 
 
 def talk(fleet_path: str, name: str) -> None:
-    """Say something five times a second, and print who is heard, and when."""
-    import zenoh
-
-    from router_config.session import Session
-    from router_config.settings import peer_config
+    """Say something five times a second, and write who is heard, and when."""
 
     def heard(sample: zenoh.Sample) -> None:
-        sys.stdout.write(f"{time.monotonic()} {str(sample.key_expr).rpartition(chr(47))[2]}\n")
+        other = str(sample.key_expr).rpartition("/")[2]
+        sys.stdout.write(f"{time.monotonic()} {other}\n")
         sys.stdout.flush()
 
     with Session(peer_config(load_fleet(Path(fleet_path)), name), name) as session:

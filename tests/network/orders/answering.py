@@ -21,6 +21,7 @@ class Loop(threading.Thread):
         self.works, self.shows, self.ends = threading.Event(), True, threading.Event()
         self.works.set()
         self.hears: tuple[str, ...] = ()
+        self.faults: tuple[str, ...] = ()
 
     def run(self) -> None:
         seq = 0
@@ -36,6 +37,7 @@ class Loop(threading.Thread):
                 knows="blind",
                 t=0,
                 neighbours=tuple(NeighbourState(robot=name, heard=1) for name in self.hears),
+                faults=self.faults,
             )
             if self.shows:
                 self.transport.show(state)

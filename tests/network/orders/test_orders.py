@@ -138,6 +138,15 @@ def test_one_that_hangs_is_named_and_holds_up_nobody(loops) -> None:
         until(lambda: loops["r2"].taken)  # it may still act: whoever wakes stops
 
 
+def test_of_two_agents_of_one_name_one_was_told_nothing(loops) -> None:
+    loops["r1"].faults = ("two agents: two linked to us are called r2; end one",)
+    with console(loops) as ann:
+        until(lambda: ann.states()["r1"].faults)
+        outcomes = ann.order(["r2"], "stop")
+    assert verdict(outcomes) == "1 of 2"
+    assert outcomes["another r2"].why == "two agents are called r2, and one was told nothing; end one"
+
+
 def test_one_that_is_not_there_is_named(loops) -> None:
     fleet = fleet_of(loops)
     with_third = replace(fleet, robot={**fleet.robot, "r3": replace(fleet.robot["r1"], listen="tcp/127.0.0.1:29499")})
