@@ -18,7 +18,6 @@ PRODUCT_FILES = 300
 SMALL_LINES = 60
 # A file of its own for less than that is a seam: other code, or another interpreter, takes it alone.
 SMALL = {
-    "agent/clock/machine.py": "the one import of `time`: tests and import contracts name it",
     "hw/board_files.py": "a program: python -m hw.board_files",
 }
 BOARD = "hw/firmware/"  # MicroPython finds modules beside main.py, and loads one at a time into little memory
