@@ -145,12 +145,15 @@ UNKNOWN = "unknown"  # the version of a tree that is not installed
 
 def metadata(fleet: Fleet, name: str) -> dict[str, str]:
     """Of the process `name`, by this fleet file: what a process with another copy of the file compares."""
+    robot = fleet.robot.get(name)
+    pose = None if robot is None or robot.behaviour is not None else robot.pose
     return {
         "fleet": fleet.fleet,
         "name": name,
         "version": version(),
         "file": common(fleet),
         "rules": rules(fleet, name),
+        **({} if pose is None else {"pose": f"{pose.x_m:g} {pose.y_m:g} {pose.yaw_deg:g}"}),
     }
 
 

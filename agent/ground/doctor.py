@@ -99,6 +99,9 @@ def _differences(name: str, shown: Shown, expected: Said) -> Iterator[Finding]:
     if "rules" in said and said["rules"] != expected["rules"]:
         text = f"has other access rules (their digest is {said['rules']}, by our file {expected['rules']}): [access],"
         yield Finding("wrong", name, f"{text} neighbours or targets differ; {SAME}")
+    if {"pose"} <= said.keys() & expected.keys() and said["pose"] != expected["pose"]:
+        text = f"hangs at {said['pose']} (x_m, y_m, yaw_deg) by its own fleet file, and at {expected['pose']} by ours"
+        yield Finding("warning", name, f"{text}; {SAME}")
     if said.get("version") != expected["version"]:
         theirs = f"version {said['version']}" if "version" in said else "an older version"
         yield Finding("warning", name, f"runs {theirs}, and this is {expected['version']}; install one everywhere")

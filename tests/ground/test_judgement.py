@@ -94,6 +94,13 @@ def test_versions() -> None:
         assert line.startswith(f"warning  r1: runs {told}, and this is") and "install one everywhere" in line
 
 
+def test_a_robot_that_hangs_elsewhere_by_its_own_file() -> None:
+    elsewhere = {**SAID["r1"], "pose": "1 0.25 34"}
+    (line,) = said(facts(shown={**facts().shown, "0r1": Shown(elsewhere, frozenset({"0r2"}))}))
+    own, ours = "1 0.25 34 (x_m, y_m, yaw_deg) by its own fleet file", f"{SAID['r1']['pose']} by ours"
+    assert line.startswith(f"warning  r1: hangs at {own}, and at {ours}")
+
+
 def test_who_hears_whom() -> None:
     def lines(missed: int = 1, **changed: object) -> list[str]:
         return said(facts(states={"r1": state("r1", **changed), "r2": state("r2")}, missed={("r1", "r2"): missed}))
