@@ -133,9 +133,9 @@ class OrderConsole:
                 asked[robot] = _Asked()
             for robot, one in asked.items():
                 now_s = machine.since_boot_s()
-                if (sign := self._sign_of(robot, verb)) is None or one.is_over(now_s, start_s, heard_s, answer_s):
+                if verb not in URGENT and one.is_over(now_s, start_s, heard_s, answer_s):
                     continue
-                if one.begin(now_s, sign):
+                if (sign := self._sign_of(robot, verb)) is not None and one.begin(now_s, sign):
                     self._ask(robot, replace(order, seen=one.seen), one, answer_s)
             now_s = machine.since_boot_s()
             with self._changed:
