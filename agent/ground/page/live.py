@@ -147,11 +147,11 @@ class Live:
         if seldom_ns is not None and shown_ns is not None and arrived_ns - shown_ns < seldom_ns:
             return
         if topic.message not in LINES:
-            if self._board.show(key, partial(self._rows.message, topic, chunks, payload)) and seldom_ns is not None:
+            if self._board.show(key, partial(self._rows.message, *received)) and seldom_ns is not None:
                 self._shown_ns[key] = arrived_ns
             return
         try:
-            self._board.say(self._rows.message(topic, chunks, payload))
+            self._board.say(self._rows.message(*received))
         except Refusal:
             self._board.refused += 1
 

@@ -212,9 +212,9 @@ def test_what_arrives_is_shown_and_what_is_none_is_counted() -> None:
         await running
 
     asyncio.run(runs())
-    viewer = board.join()
-    keys = [json.loads(message)["k"] for message in board.next_for(viewer)]
-    assert set(keys) == {"state/r1/ball", "link/r1/ball", "clock", "lines"} and board.refused == 1
+    shown = {message["k"]: message for message in map(json.loads, board.next_for(board.join()))}
+    assert shown["state/r1/ball"]["arrived_ms"] == pytest.approx(1e-6), "however late a page asks for it"
+    assert set(shown) == {"state/r1/ball", "link/r1/ball", "clock", "lines"} and board.refused == 1
 
 
 def test_a_recording_is_begun_ended_and_its_trouble_is_told(tmp_path) -> None:
