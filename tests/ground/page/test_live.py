@@ -61,6 +61,7 @@ def test_an_order_is_given_and_every_robot_is_accounted_for() -> None:
     assert (order["k"], order["verb"], order["asked"]) == ("order", "hold", ["r1", "r2"])
     assert (first["n"], first["robot"], first["ok"], first["id"]) == (order["n"], "r1", True, "17")
     assert (second["robot"], second["ok"]) == ("r2", None) and "did not answer" in second["why"]
+    assert order["at_ms"] <= first["at_ms"] <= second["at_ms"], "a page tells by it what has changed since"
 
 
 def test_what_cannot_be_ordered_is_said() -> None:

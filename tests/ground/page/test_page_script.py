@@ -68,3 +68,46 @@ def test_a_word_that_was_long_on_its_way_is_as_old_as_it_is() -> None:
         late=late,
     )
     assert age == "silent for 5.5 s"
+
+
+# --- what stands beside STOP ALL ---
+
+
+def stop_of_all(at_ms: float = NOW_MS, **second: Any) -> dict[str, Any]:
+    """The lines of a stop that r1 has done, and what r2 answered."""
+    order = {"k": "order", "n": 1, "verb": "stop", "args": {}, "asked": ["r1", "r2"], "at_ms": at_ms}
+    outcome = {"k": "outcome", "n": 1, "ok": True, "why": "", "id": "17", "at_ms": at_ms}
+    return {"k": "lines", "lines": [order, {**outcome, "robot": "r1"}, {**outcome, "robot": "r2", **second}]}
+
+
+STOPPED = "return [says('stopped').replace(/^\\S+ /, ''), $('stopped').className]"
+
+
+def test_a_robot_that_is_armed_again_is_no_more_called_stopped() -> None:
+    late = said("r1", age_s=-0.4)  # its module has not told yet
+    off = [said("r1", age_s=-2.0, armed=False), said("r2", age_s=-2.0, armed=False)]
+    again, both = said("r1", age_s=-3.0), said("r2", age_s=-3.0)
+    given = {"greeting": HELLO, "note": CLOCK, "lines": stop_of_all(), "late": late, "off": off}
+    assert page_does(f"say(greeting, note, lines, late, ...off); {STOPPED}", **given) == [
+        "all stopped: r1 and r2",
+        "note good",
+    ]
+    given |= {"again": again, "both": both}
+    turned = page_does(f"say(greeting, note, lines, late, ...off, again); say(...off); {STOPPED}", **given)
+    assert turned == ["stopped: r2; armed again: r1", "note warn"]
+    turned = page_does(f"say(greeting, note, lines, ...off, again, both); {STOPPED}", **given)
+    assert turned == ["armed again: r1 and r2", "note warn"]
+    given["lines"] = stop_of_all(ok=None, why="did not answer")
+    turned = page_does(f"say(greeting, note, lines, ...off, again); {STOPPED}", **given)
+    assert turned == ["armed again: r1; no answer from r2", "note bad"]
+
+
+def test_a_page_that_is_opened_later_does_not_say_that_all_are_stopped() -> None:
+    armed = [said("r1"), said("r2")]
+    given = {"greeting": HELLO, "note": CLOCK, "armed": armed, "lines": stop_of_all(NOW_MS - 60_000)}
+    assert page_does(f"say(greeting, note, ...armed, lines); {STOPPED}", **given)[0] == ""
+    given["lines"] = stop_of_all(NOW_MS - 4_000)
+    again = page_does(f"say(greeting, note, ...armed, lines); {STOPPED}", **given)
+    assert again == ["armed again: r1 and r2", "note warn"]
+    given["lines"] = stop_of_all(NOW_MS - 60_000, ok=None, why="did not answer")
+    assert "no answer from r2" in page_does(f"say(greeting, note, ...armed, lines); {STOPPED}", **given)[0]
