@@ -2,6 +2,7 @@
 
 import shutil
 import signal
+import threading
 import time
 
 import pytest
@@ -281,6 +282,21 @@ def test_recording_is_switched_on_and_off(tab, path) -> None:
         again.says("#play", "Pause")
         again.page.close()
     assert not again.complaints and not again.outside
+
+
+def test_a_robot_that_hangs_is_silent_on_a_page_that_is_opened_then(tab, served, robots) -> None:
+    goes, says = threading.Event(), robots["r1"]._state
+    robots["r1"]._state = lambda seq: says(seq) if goes.wait(120) else None
+    try:
+        tab.says("#card_r1 .age", "silent for 4")
+        later = Tab(tab.page.context.browser, served.address)
+        assert later.says("#sentence", "robots heard").startswith("1 of 2 robots heard")
+        assert "silent for" in later.page.inner_text("#card_r1 .age")
+        later.page.close()
+    finally:
+        goes.set()
+        robots["r1"]._state = says
+    tab.says("#sentence", "2 of 2 robots heard")
 
 
 def test_while_its_server_hangs_a_stop_is_not_confirmed(chromium, path, robots) -> None:
