@@ -147,24 +147,27 @@ class Live:
         if seldom_ns is not None and shown_ns is not None and arrived_ns - shown_ns < seldom_ns:
             return
         if topic.message not in LINES:
-            if self._board.show(key, partial(self._rows.message, topic, chunks, payload)) and seldom_ns is not None:
+            if self._board.show(key, partial(self._rows.message, *received)) and seldom_ns is not None:
                 self._shown_ns[key] = arrived_ns
             return
         try:
-            self._board.say(self._rows.message(topic, chunks, payload))
+            self._board.say(self._rows.message(*received))
         except Refusal:
             self._board.refused += 1
 
     def _say_time(self) -> None:
         note = {
             "k": "clock",
-            "now_ms": self._clock.now_ns() * 1e-6,
+            "now_ms": self._now_ms(),
             "rate": self._clock.rate(),
             "refused": self._board.refused,
             "full": self._board.full,
             "recording": self._recording.note() if self._recording else None,
         }
         self._board.show("clock", lambda: text(note))
+
+    def _now_ms(self) -> float:
+        return self._clock.now_ns() * 1e-6
 
     async def heard(self, message: dict[str, Any]) -> None:
         """What a page says. What none of ours would say is passed over."""
@@ -187,17 +190,18 @@ class Live:
     async def _order(self, give: Give, wish: Wish, seen: Seen) -> None:
         """Give it in a thread of its own, since it waits, and say on every page what comes of it."""
         loop, note = asyncio.get_running_loop(), {"n": next(self._numbers)}
-        order = {"verb": wish.verb, "args": wish.args, "asked": wish.robots, "at_ms": self._clock.now_ns() * 1e-6}
+        order = {"verb": wish.verb, "args": wish.args, "asked": wish.robots, "at_ms": self._now_ms()}
         self._board.say(text({"k": "order", **note, **order}))
 
         def give_it() -> None:
             for reply in give(wish.robots, wish.verb, wish.args, seen):
-                loop.call_soon_threadsafe(self._board.say, text({"k": "outcome", **note, **reply._asdict()}))
+                outcome = {"k": "outcome", **note, **reply._asdict(), "at_ms": self._now_ms()}
+                loop.call_soon_threadsafe(self._board.say, text(outcome))
 
         try:
             await loop.run_in_executor(self._threads[wish.verb in URGENT], give_it)
         except Refusal as refusal:  # nothing went out
-            self._board.say(text({"k": "outcome", **note, "trouble": str(refusal)}))
+            self._board.say(text({"k": "outcome", **note, "trouble": str(refusal), "at_ms": self._now_ms()}))
 
 
 # --- orders from the page ---

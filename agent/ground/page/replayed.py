@@ -40,6 +40,7 @@ class Row(NamedTuple):
     chunks: dict[str, str]
     offset: int  # of the payload in the spool
     size: int
+    at_ns: int  # when it was recorded
 
 
 class Reel:
@@ -72,7 +73,7 @@ class Reel:
             if is_line:
                 self._lines.append(len(self._rows))
             self.times_ns.append(at_ns)
-            self._rows.append(Row(key, *row, end, len(record.data)))
+            self._rows.append(Row(key, *row, end, len(record.data), at_ns))
             end += self._spool.write(record.data)
         if not self._rows:
             raise ConfigError(f"{self.file}: nobody of fleet '{self.fleet.fleet}' was heard in it")
@@ -191,7 +192,7 @@ class Replayed:
             self._board.refused += 1
 
     def _message(self, row: Row) -> Any:
-        return self._rows.message(row.topic, row.chunks, self._reel.payload(row))
+        return self._rows.message(row.topic, row.chunks, self._reel.payload(row), row.at_ns)
 
     def _show_tracks(self, at_ns: int) -> None:
         """Where robots and targets were before a moment that was sought, for the page to draw behind them."""

@@ -33,6 +33,7 @@ LINES: tuple[type[Message], ...] = (LogLine, Answer)  # of these every one count
 # So often is enough: of an estimate the page takes an ellipse, and a keyframe never changes.
 SELDOM_NS: Mapping[type[Message], int] = {Estimate: 450_000_000, Keyframe: 1 << 62}
 UNSHOWN = ("schema", "fleet", "seq")
+AGED: tuple[type[Message], ...] = (State, Presence)  # the page says how old they are
 
 
 class Rows:
@@ -65,13 +66,20 @@ class Rows:
             return self._surface_key(payload, topic.limit)
         return "/".join((self._of[topic.message][0], robot, *((target,) if target is not None else ())))
 
-    def message(self, topic: Topic, chunks: Mapping[str, str], payload: bytes) -> Shown:
-        """What the page is sent. Raises Refusal for a payload that is none of this row, or of somebody else."""
+    def message(self, topic: Topic, chunks: Mapping[str, str], payload: bytes, arrived_ns: int) -> Shown:
+        """What the page is sent. Raises Refusal for a payload that is none of this row, or of somebody else.
+
+        arrived_ns: by the clock that tells the page what time it is. A page that is opened later knows by it how old
+        the newest of a robot is, whatever that robot's own clock says.
+        """
         key = self.key(topic, chunks, payload)
         if key is None:
             raise Refusal("address", "not shown")
         fields = self._of[topic.message][1](in_own_name(topic, chunks, payload, READABLE))
-        return fields if isinstance(fields, bytes) else text({"k": key, **fields})
+        if isinstance(fields, bytes):
+            return fields
+        arrived = {"arrived_ms": arrived_ns * 1e-6} if topic.message in AGED else {}
+        return text({"k": key, **fields, **arrived})
 
     def _state(self, state: State) -> Fields:
         if state.target not in self._targets:

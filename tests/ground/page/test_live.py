@@ -61,6 +61,7 @@ def test_an_order_is_given_and_every_robot_is_accounted_for() -> None:
     assert (order["k"], order["verb"], order["asked"]) == ("order", "hold", ["r1", "r2"])
     assert (first["n"], first["robot"], first["ok"], first["id"]) == (order["n"], "r1", True, "17")
     assert (second["robot"], second["ok"]) == ("r2", None) and "did not answer" in second["why"]
+    assert order["at_ms"] <= first["at_ms"] <= second["at_ms"], "a page tells by it what has changed since"
 
 
 def test_what_cannot_be_ordered_is_said() -> None:
@@ -213,9 +214,9 @@ def test_what_arrives_is_shown_and_what_is_none_is_counted() -> None:
         await running
 
     asyncio.run(runs())
-    viewer = board.join()
-    keys = [json.loads(message)["k"] for message in board.next_for(viewer)]
-    assert set(keys) == {"state/r1/ball", "link/r1/ball", "clock", "lines"} and board.refused == 1
+    shown = {message["k"]: message for message in map(json.loads, board.next_for(board.join()))}
+    assert shown["state/r1/ball"]["arrived_ms"] == pytest.approx(1e-6), "however late a page asks for it"
+    assert set(shown) == {"state/r1/ball", "link/r1/ball", "clock", "lines"} and board.refused == 1
 
 
 def test_a_recording_is_begun_ended_and_its_trouble_is_told(tmp_path) -> None:

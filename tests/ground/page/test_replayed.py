@@ -73,12 +73,13 @@ def test_a_row_live_and_replayed_is_the_same_message_to_the_byte(tmp_path) -> No
             target="ball",
         ),
     ]
-    live = [Rows(FLEET).message(*each) for each in rows]
+    live = [Rows(FLEET).message(*each, NOW_NS + n) for n, each in enumerate(rows)]
     record(tmp_path / "fleet.mcap", [(NOW_NS + n, each) for n, each in enumerate(rows)])
     with Reel(tmp_path / "fleet.mcap") as reel:
         again = Rows(reel.fleet)
         replayed = [
-            again.message(kept.topic, kept.chunks, reel.payload(kept)) for _, kept in reel.between(0, NOW_NS + S)
+            again.message(kept.topic, kept.chunks, reel.payload(kept), at_ns)
+            for at_ns, kept in reel.between(0, NOW_NS + S)
         ]
     assert replayed == live and len(live) == 4
 
@@ -89,6 +90,7 @@ def test_what_was_newest_at_a_time_is_shown_with_the_lines_and_the_way_there(ree
     replayed.seek(NOW_NS + 4 * S + S // 20)
     page = shown(board)
     assert page["state/r1/ball"]["t"] == 40
+    assert page["state/r1/ball"]["arrived_ms"] == pytest.approx((NOW_NS + 4 * S) * 1e-6, abs=1e-3)
     assert [line["text"] for line in page["lines"]["lines"]] == [f"line {n}" for n in (0, 10, 20, 30, 40)]
     assert page["clock"]["now_ms"] == pytest.approx((NOW_NS + 4.05 * S) * 1e-6)
     assert [past["t"] for past in page["past"]["rows"]] == list(range(0, 41, 5)), "twice a second"

@@ -22,7 +22,7 @@ ROWS = Rows(FLEET)
 
 
 def test_a_state_says_which_one_it_is_to_the_last_digit() -> None:
-    shown = json.loads(ROWS.message(*row(state(), STATE, robot="r1", target="ball")))
+    shown = json.loads(ROWS.message(*row(state(), STATE, robot="r1", target="ball"), NOW_NS))
     assert shown["k"] == "state/r1/ball" and shown["knows"] == "sees"
     assert shown["seen"] == [str(NOW_NS - 5), str(NOW_NS)]
     assert shown["sent_ms"] == pytest.approx(NOW_NS * 1e-6, abs=1e-3)
@@ -46,9 +46,9 @@ def run_of_page(call: str) -> Any:
 
 def test_the_word_and_its_causes_go_with_the_state() -> None:
     said = state(verdict="contradicted", causes=(CAUSE,))
-    shown = json.loads(ROWS.message(*row(said, STATE, robot="r1", target="ball")))
+    shown = json.loads(ROWS.message(*row(said, STATE, robot="r1", target="ball"), NOW_NS))
     assert (shown["verdict"], shown["causes"]) == ("contradicted", [CAUSE])
-    fine = json.loads(ROWS.message(*row(state(), STATE, robot="r1", target="ball")))
+    fine = json.loads(ROWS.message(*row(state(), STATE, robot="r1", target="ball"), NOW_NS))
     assert (fine["verdict"], fine["causes"]) == ("consistent", [])
 
 
@@ -61,7 +61,7 @@ def test_every_word_has_a_colour_on_the_page() -> None:
 @pytest.mark.skipif(NODE is None, reason="there is no node to run the page's script")
 def test_the_page_calls_nothing_known_that_is_not_to_be_trusted() -> None:
     good, bad, worse = (
-        json.loads(ROWS.message(*row(said, STATE, robot=said.robot, target="ball")))
+        json.loads(ROWS.message(*row(said, STATE, robot=said.robot, target="ball"), NOW_NS))
         for said in (
             state("r1"),
             state("r1", verdict="suspect", causes=("r2 stands apart from the others", CAUSE)),
@@ -87,7 +87,7 @@ def test_the_page_calls_nothing_known_that_is_not_to_be_trusted() -> None:
 
 def test_a_picture_goes_as_it_came_behind_robot_frame_and_time() -> None:
     seen = image("r2", frame=4711)
-    (shown,) = received(ROWS.message(*row(seen, IMAGE, robot="r2")))
+    (shown,) = received(ROWS.message(*row(seen, IMAGE, robot="r2"), NOW_NS))
     assert shown == {"k": "image/r2", "frame": 4711, "t_ns": NOW_NS, "jpeg": seen.jpeg}
 
 
@@ -96,8 +96,8 @@ def test_what_is_told_to_several_neighbours_is_one_thing() -> None:
     said = estimate("r1", "r2", fleet="test", x_m=(0.7, 0.5, 0.1), cov_m2=cov)
     topic, chunks, payload = row(said, LINK, src="r1", dst="r2", target="ball")
     assert ROWS.key(topic, chunks, payload) == ROWS.key(topic, {**chunks, "dst": "r9"}, payload) == "link/r1/ball"
-    assert json.loads(ROWS.message(topic, chunks, payload))["cov_m2"] == list(cov)
-    near = json.loads(ROWS.message(*row(presence("r1", "r2", t_ns=NOW_NS), NEAR, src="r1", dst="r2")))
+    assert json.loads(ROWS.message(topic, chunks, payload, NOW_NS))["cov_m2"] == list(cov)
+    near = json.loads(ROWS.message(*row(presence("r1", "r2", t_ns=NOW_NS), NEAR, src="r1", dst="r2"), NOW_NS))
     assert near["k"] == "near/r1" and near["robot"] == "r1" and near["t_ms"] == pytest.approx(NOW_NS * 1e-6)
 
 
@@ -112,7 +112,7 @@ def test_where_a_survey_looks_next_is_a_place_and_a_direction() -> None:
     )
     head = {"fleet": "test", "incarnation": 1, "seq": 0, "sent_ns": NOW_NS, "share": 0.5}
     said = Claim(src="r1", dst="r2", view=view, has=(Has("r1", 1, 3), Has("r2", 1, 4)), **head)
-    shown = json.loads(ROWS.message(*row(said, CLAIM, src="r1", dst="r2")))
+    shown = json.loads(ROWS.message(*row(said, CLAIM, src="r1", dst="r2"), NOW_NS))
     assert shown["looks"]["x_m"] == pytest.approx([1.2, 0.3, 0.25])
     assert shown["looks"]["ahead"] == pytest.approx([1.0, 0.0, 0.0], abs=1e-6)
     assert (shown["keyframes"], shown["keyframes_held"], shown["share"]) == (3, 7, 0.5)
@@ -121,19 +121,19 @@ def test_where_a_survey_looks_next_is_a_place_and_a_direction() -> None:
 def test_what_a_sweep_showed_is_one_thing_whoever_passes_it_on() -> None:
     told = [row(keyframe(src), KEYFRAME, src=src, dst="r2") for src in ("r1", "r2")]
     assert {ROWS.key(*each) for each in told} == {"surface/r1/7/3"}
-    shown = json.loads(ROWS.message(*told[1]))
+    shown = json.loads(ROWS.message(*told[1], NOW_NS))
     assert shown["cols"] == 2 and shown["from_mm"] == pytest.approx([500.0, 600.0, 400.0])
     # The first block's middle is 16 px left of and above the axis, at f = 500 px; looking down turns y over.
     assert shown["blocks"] == [[492, 608, 150], [508, 608, 150], [484, 584, -100], None]
     assert ROWS.key(*row(keyframe("r1", origin="r9"), KEYFRAME, src="r1", dst="r2")) is None
     assert ROWS.key(KEYFRAME, {"src": "r1", "dst": "r2"}, b"no keyframe") is None
     with pytest.raises(Refusal):
-        ROWS.message(*row(keyframe("r1", place=(99000, 0, 0)), KEYFRAME, src="r1", dst="r2"))
+        ROWS.message(*row(keyframe("r1", place=(99000, 0, 0)), KEYFRAME, src="r1", dst="r2"), NOW_NS)
 
 
 def test_an_answer_names_its_order_to_the_last_digit() -> None:
     answer = Answer(robot="r1", console="ann", id=NOW_NS, order="stop", ok=True, arrived_ns=NOW_NS, sent_ns=NOW_NS + 1)
-    shown = json.loads(ROWS.message(*row(answer, ANSWER, robot="r1", console="ann")))
+    shown = json.loads(ROWS.message(*row(answer, ANSWER, robot="r1", console="ann"), NOW_NS))
     assert shown["id"] == str(NOW_NS) and shown["console"] == "ann" and shown["ok"] is True
 
 
@@ -155,14 +155,14 @@ def test_strangers_and_what_is_not_shown_have_no_key() -> None:
 )
 def test_what_one_robot_says_on_anothers_key_is_refused(said, topic, chunks) -> None:
     with pytest.raises(Refusal):
-        ROWS.message(*row(said, topic, **chunks))
+        ROWS.message(*row(said, topic, **chunks), NOW_NS)
 
 
 def test_bytes_that_are_no_message_are_refused() -> None:
     with pytest.raises(Refusal):
-        ROWS.message(STATE, {"robot": "r1", "target": "ball"}, b"\xc1")
+        ROWS.message(STATE, {"robot": "r1", "target": "ball"}, b"\xc1", NOW_NS)
     with pytest.raises(Refusal):
-        ROWS.message(LOG, {"robot": "r1"}, encode(state()))
+        ROWS.message(LOG, {"robot": "r1"}, encode(state()), NOW_NS)
 
 
 # --- board ---

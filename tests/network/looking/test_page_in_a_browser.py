@@ -1,6 +1,8 @@
 """The operator's page in a real browser, as a person uses it: a fleet of two, watched, ordered about, lost."""
 
 import shutil
+import signal
+import threading
 import time
 
 import pytest
@@ -111,6 +113,8 @@ def test_all_are_stopped_and_started_again(tab, robots) -> None:
     assert tab.says("#stopped", "all stopped: r1 and r2") in tab.page.inner_text("#order_note")
     assert [robot.orders[-1].verb for robot in robots.values()] == ["stop", "stop"]
     tab.says("#sentence", "Motors off: all")
+    robots["r1"].armed = True  # by another console
+    tab.says("#stopped", "stopped: r2; armed again: r1")
     tab.page.click("#start")
     until(lambda: all(robot.armed for robot in robots.values()))
     tab.page.wait_for_selector("#start", state="hidden")
@@ -278,6 +282,41 @@ def test_recording_is_switched_on_and_off(tab, path) -> None:
         again.says("#play", "Pause")
         again.page.close()
     assert not again.complaints and not again.outside
+
+
+def test_a_robot_that_hangs_is_silent_on_a_page_that_is_opened_then(tab, served, robots) -> None:
+    goes, says = threading.Event(), robots["r1"]._state
+    robots["r1"]._state = lambda seq: says(seq) if goes.wait(120) else None
+    try:
+        tab.says("#card_r1 .age", "silent for 4")
+        later = Tab(tab.page.context.browser, served.address)
+        assert later.says("#sentence", "robots heard").startswith("1 of 2 robots heard")
+        assert "silent for" in later.page.inner_text("#card_r1 .age")
+        later.page.close()
+    finally:
+        goes.set()
+        robots["r1"]._state = says
+    tab.says("#sentence", "2 of 2 robots heard")
+
+
+def test_while_its_server_hangs_a_stop_is_not_confirmed(chromium, path, robots) -> None:
+    with page_process(path, "--as", "ann") as page:
+        tab = Tab(chromium, page.address)
+        tab.says("#sentence", "2 of 2 robots heard")
+        page.process.send_signal(signal.SIGSTOP)
+        try:
+            tab.page.click("#stop")
+            tab.says("#stopped", "STOP not confirmed", 10.0)
+            tab.says("#kind", "NO CONNECTION", 10.0)
+            assert "lost" in tab.page.get_attribute("body", "class")
+        finally:
+            page.process.send_signal(signal.SIGCONT)
+        tab.says("#kind", "LIVE")
+        tab.says("#stopped", "all stopped: r1 and r2")
+        tab.page.click("#start")
+        until(lambda: all(robot.armed for robot in robots.values()))
+        tab.page.close()
+    assert not tab.complaints
 
 
 def test_without_its_server_the_page_is_grey_and_says_so(chromium, path, robots) -> None:
