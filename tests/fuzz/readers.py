@@ -96,7 +96,12 @@ FUZZED: dict[str, tuple[str, ...]] = {
         *(f"replay.check.check:{name}" for name in ("_map", "as_said")),
         *(f"replay.check.compare:{name}" for name in ("_ordinal", "differences", "opened")),
         *(f"replay.check.reexecute:{name}" for name in ("_open_box", "attached_toml")),
-        *("replay.export:_msgpack", "replay.files.frames:pixels", "replay.files.info:_counts"),
+        *(
+            "replay.export:_msgpack",
+            "replay.export:_unpacked",
+            "replay.files.frames:pixels",
+            "replay.files.info:_counts",
+        ),
         *(
             f"replay.files.mcap_walk:{name}"
             for name in ("Audit.attachment", "_record", "_begins", "message", "opened", "parsed")
@@ -108,6 +113,7 @@ SAFE = {  # a module, or one of its readers
     "agent.clock.clock:locked_by_another": "the kernel's answer",
     "agent.demo.demo": "what the twin of this run wrote",
     "agent.experiments": "figures that this checkout measured, and tables of its own data",
+    "agent.ground.bridges.mavlink:_dropped": "throws away what it reads",
     "agent.ground.bridges.ros2": "hands on what `codec.Image` has read",
     "agent.ground.check:check": "says what `fleet` says",
     "agent.ground.doctor:_refusal": "looks for a byte, and at none",

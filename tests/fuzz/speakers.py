@@ -198,7 +198,7 @@ def _answers(fleet: Fleet, payload: bytes) -> None:
     replies = [session.Reply(_text(key), _bytes(data), _text(error)) for key, data, error in _listed(payload, 3)]
     console, asked = OrderConsole(fleet, "ann"), _Asked()
     console._session = cast("session.Session", Answering(replies))
-    asked.begin(1.0)
+    asked.begin(1.0, ())
     console._ask(ME, Order(id=7, verb="stop"), asked, 1.0)
     asked.give_up(9.0, 0.0, 1.0, 1.0)
     outcome = asked.outcome
