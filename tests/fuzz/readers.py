@@ -97,7 +97,6 @@ FUZZED: dict[str, tuple[str, ...]] = {
         *(f"replay.check.compare:{name}" for name in ("_ordinal", "differences", "opened")),
         *(f"replay.check.reexecute:{name}" for name in ("_open_box", "attached_toml")),
         *(
-            "replay.export:_msgpack",
             "replay.export:_unpacked",
             "replay.files.frames:pixels",
             "replay.files.info:_counts",
