@@ -134,16 +134,17 @@ def _of_file(file: Path, wanted: Sequence[str], robot: str | None, seen: set[str
                     "sequence": record.sequence,
                     "message": decoders[record.channel_id](record.data),
                 }
-                yield _line(facts)
+                yield _line(facts, record.data)
             case Tear():
                 return
 
 
-def _line(facts: dict[str, Any]) -> str:
-    try:
+def _line(facts: dict[str, Any], data: bytes) -> str:
+    with contextlib.suppress(TypeError, ValueError, RecursionError):
         return json.dumps(facts, default=_plain, allow_nan=False)
-    except (TypeError, ValueError):  # nothing of ours: what anybody sent stands in a recording as it came
+    with contextlib.suppress(RecursionError):  # nothing of ours: what anybody sent stands in a recording as it came
         return json.dumps(_plain(facts))
+    return json.dumps(_plain({**facts, "message": data}))
 
 
 def _decoder(channel: Channel, schema: Schema | None) -> Decode:
@@ -158,8 +159,8 @@ def _decoder(channel: Channel, schema: Schema | None) -> Decode:
 
 def _msgpack(data: bytes) -> Any:
     message = _unpacked(data)
-    if isinstance(message, dict):
-        for heard in message.get("heard", ()):  # of Inputs: what neighbours said
+    if isinstance(message, dict) and isinstance(all_heard := message.get("heard"), list):
+        for heard in all_heard:  # of Inputs: what neighbours said
             if isinstance(heard, dict) and isinstance(heard.get("payload"), bytes):
                 heard["payload"] = _unpacked(heard["payload"])
     return message

@@ -206,8 +206,8 @@ def test_a_row_of_state_is_of_its_time(tmp_path: Path) -> None:
 def test_what_anybody_sent_is_a_line_of_json(tmp_path: Path) -> None:
     """A recorder keeps what does not decode; and what decodes need not be a message."""
     file, fleet = tmp_path / "fleet.mcap", dump(open_box(SEEN).fleet)
-    deep = b"\x91" * 3000 + b"\x00"
-    sent = [b"\xc1", b"\x81\xc4\x01k\x01", b"\xd6\xff\x00\x00\x00\x01", b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00", deep]
+    sent = [b"\xc1", b"\x81\xc4\x01k\x01", b"\xd6\xff\x00\x00\x00\x01", b"\xcb\x7f\xf8\x00\x00\x00\x00\x00\x00"]
+    sent += [b"\x81\xa5heard\x05", *(b"\x91" * depth + b"\xc4\x01k" for depth in (200, *range(300, 1000, 20), 3000))]
     part = Part(file)
     part.start({**info(SEEN).run, "kind": "fleet"}, {"fleet.toml": fleet})
     for n, payload in enumerate(sent):
@@ -219,13 +219,14 @@ def test_what_anybody_sent_is_a_line_of_json(tmp_path: Path) -> None:
         raise AssertionError(f"{constant} is no JSON")
 
     said = [json.loads(line, parse_constant=refused) for line in (tmp_path / "all.jsonl").read_text().splitlines()]
-    assert [line["message"] for line in said[:4]] == [
+    assert [line["message"] for line in said[:5]] == [
         {"base64": "wQ=="},
         {"b'k'": 1},
         "1970-01-01 00:00:01+00:00",
         "NaN",
+        {"heard": 5},
     ]
-    assert base64.b64decode(said[4]["message"]["base64"]) == deep
+    assert base64.b64decode(said[-1]["message"]["base64"]) == sent[-1]
 
 
 def test_a_black_box_is_of_its_robot_whatever_its_file_is_called(tmp_path: Path) -> None:
