@@ -376,7 +376,9 @@ class LinkWatchdog:
                     connection.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, NOT_WAITED_FOR)
                 state, most = _unread(connection), UNREAD_LOOKS
             elif ends not in others and (ends[0][1] in self._listens or ends[1][1] in self._dials):
-                state, most = "no link", 0 if self._hurries.is_set() else DIAL_LOOKS
+                # What we did not accept, and goes on reading, is a link of somebody else's session in this process.
+                read = "" if ends[0][1] in self._listens else f", read to {_read(connection)[1]}"
+                state, most = f"no link{read}", 0 if self._hurries.is_set() else DIAL_LOOKS
             else:
                 continue
             looks = before.get((ends, state), 0) + 1
@@ -406,9 +408,15 @@ def _connections() -> Iterator[tuple[socket.socket, tuple[End, End]]]:
 
 def _unread(connection: socket.socket) -> str:
     """How far it was read, where something waits to be read; else empty."""
+    waits, read = _read(connection)
+    return f"read to {read}" if waits else ""
+
+
+def _read(connection: socket.socket) -> tuple[int, int]:
+    """How many bytes wait to be read, and how many were."""
     (waits,) = struct.unpack("i", fcntl.ioctl(connection, termios.FIONREAD, bytes(4)))
     told = connection.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, TCP_BYTES_RECEIVED + 8)
-    return f"read to {struct.unpack_from('Q', told, TCP_BYTES_RECEIVED)[0] - waits}" if waits else ""
+    return waits, struct.unpack_from("Q", told, TCP_BYTES_RECEIVED)[0] - waits
 
 
 def _peer(connection: socket.socket) -> End:

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pytest
+import zenoh
 from msgspec.structs import replace
 
 from agent.core.config import Fleet
@@ -125,6 +126,19 @@ def test_links_that_are_well_are_let_be(make_fleet: Callable[..., Fleet]) -> Non
             until(lambda: len(both.links()) == 2)
         time.sleep(4 * session.DIAL_LOOKS * session.LOOK_S)
         assert dialled(port) == before
+
+
+def test_links_of_somebody_elses_session_in_this_process_are_let_be(make_fleet: Callable[..., Fleet]) -> None:
+    """It dials the same robot as a session of ours, as a lab's own program may."""
+    fleet = make_fleet(PAIR)
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(Session(peer_config(fleet, "r1"), "r1"))
+        foreign = stack.enter_context(zenoh.open(zenoh.Config.from_json5(observer_config(fleet))))
+        stack.enter_context(Session(observer_config(fleet), "a console"))
+        until(lambda: foreign.info.links())
+        before = {str(link) for link in foreign.info.links()}
+        time.sleep(2 * session.DIAL_LOOKS * session.LOOK_S)
+        assert {str(link) for link in foreign.info.links()} == before
 
 
 def test_what_is_dialled_may_be_anything_that_zenoh_takes() -> None:
