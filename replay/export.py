@@ -231,20 +231,14 @@ def write_tables(path: Path, out: Path, robot: str | None = None) -> list[Path]:
 
     Of a robot without a black box there is what it showed on the network. Raises ConfigError as `open_run` does.
     """
-    with suspecting(path):
+    with suspecting(path), contextlib.ExitStack() as all_or_none:  # some tables look like all of them
         run = open_run(path)
         for line in clocks_apart(run.links):
             logger.warning("%s: %s", path, line)
         names = wanted(robot, (timeline.robot for timeline in run.timelines), path)
-        files: list[Path] = []
-        try:
-            for table in (table for name in names for table in tables(run, name)):
-                if _write(out / table.file, _suspected(table.rows, path)):
-                    files.append(out / table.file)
-        except BaseException:  # some tables look like all of them
-            for file in files:
-                file.unlink()
-            raise
+        of_names = [table for name in names for table in tables(run, name)]
+        written = [_write(out / table.file, _suspected(table.rows, path), all_or_none) for table in of_names]
+    files = [file for file in written if file is not None]
     if not files:
         raise ConfigError(f"{path}: has nothing for a table in it; `aucamp replay info` says what is in it")
     return files
@@ -267,17 +261,18 @@ def _suspected(rows: Iterator[TableRow], recording: Path) -> Iterator[TableRow]:
         yield from rows
 
 
-def _write(path: Path, rows: Iterator[TableRow]) -> bool:
-    """Whether there are any."""
+def _write(path: Path, rows: Iterator[TableRow], all_or_none: contextlib.ExitStack) -> Path | None:
+    """None: there is no row. What breaks off `all_or_none` takes the file away."""
     first = next(rows, None)
     if first is None:
-        return False
-    with whole_or_none(path), path.open("w", encoding="utf-8", newline="") as file:
+        return None
+    all_or_none.enter_context(whole_or_none(path))
+    with path.open("w", encoding="utf-8", newline="") as file:
         out = csv.DictWriter(file, list(first))
         out.writeheader()
         out.writerow(first)
         out.writerows(rows)
-    return True
+    return path
 
 
 def _states(timeline: RobotTimeline, fleet: Fleet) -> Iterator[TableRow]:

@@ -61,37 +61,32 @@ class Link(NamedTuple):
     least_ns: int | None = None  # of any message, from its sender's clock to its reader's: below 0 these differ
 
 
+Times = dict[bytes, list[int]]  # a message: each time, ns
+
+
 class Correspondence:
     """What all robots of a run said and heard, gathered step by step."""
 
     def __init__(self) -> None:
-        self._said: dict[tuple[str, str], Counter[bytes]] = {}
-        self._heard: dict[tuple[str, str], Counter[bytes]] = {}
-        self._said_ns: dict[tuple[str, str], dict[bytes, int]] = {}  # the first time, by its sender's clock
-        self._heard_ns: dict[tuple[str, str], dict[bytes, int]] = {}  # and by its reader's
+        self._said: dict[tuple[str, str], Times] = {}  # when, by its sender's clock
+        self._heard: dict[tuple[str, str], Times] = {}  # and by its reader's
         self._last_ns: dict[str, int] = {}  # of each robot that left a recording
 
     def add(self, robot: str, step: Step) -> None:
         """One step of a robot. Raises Refusal for one that holds something else than inputs and outputs."""
         for src, payload in _heard(step.inputs):
-            said = as_said(payload, src)
-            self._heard.setdefault((src, robot), Counter())[said] += 1
-            self._heard_ns.setdefault((src, robot), {}).setdefault(said, step.now_ns)
+            self._heard.setdefault((src, robot), {}).setdefault(as_said(payload, src), []).append(step.now_ns)
         if step.outputs is not None:
             self._last_ns[robot] = max(step.now_ns, self._last_ns.get(robot, 0))
             for dst, payload in _said(step.outputs):
-                said = as_said(payload, robot)
-                self._said.setdefault((robot, dst), Counter())[said] += 1
-                self._said_ns.setdefault((robot, dst), {}).setdefault(said, step.now_ns)
+                self._said.setdefault((robot, dst), {}).setdefault(as_said(payload, robot), []).append(step.now_ns)
 
     def join(self, other: Correspondence) -> None:
         """Take in what another gathered."""
         for ours, theirs in ((self._said, other._said), (self._heard, other._heard)):
             for pair, payloads in theirs.items():
-                ours.setdefault(pair, Counter()).update(payloads)
-        for our_ns, their_ns in ((self._said_ns, other._said_ns), (self._heard_ns, other._heard_ns)):
-            for pair, times_ns in their_ns.items():
-                our_ns[pair] = times_ns | our_ns.get(pair, {})
+                for payload, times_ns in payloads.items():
+                    ours.setdefault(pair, {}).setdefault(payload, []).extend(times_ns)
         for robot, last_ns in other._last_ns.items():
             self._last_ns[robot] = max(last_ns, self._last_ns.get(robot, 0))
 
@@ -100,14 +95,15 @@ class Correspondence:
         return [self._link(src, dst) for src, dst in sorted({*self._said, *self._heard})]
 
     def _link(self, src: str, dst: str) -> Link:
-        said, heard = self._said.get((src, dst), Counter()), self._heard.get((src, dst), Counter())
+        said, heard = self._said.get((src, dst), {}), self._heard.get((src, dst), {})
+        n_said, n_heard = (sum(map(len, each.values())) for each in (said, heard))
         if src not in self._last_ns:
-            return Link(src, dst, None, heard.total(), 0, 0)
-        unknown = heard - said
+            return Link(src, dst, None, n_heard, 0, 0)
+        more = {payload: len(times_ns) - len(said.get(payload, ())) for payload, times_ns in heard.items()}
+        unknown = {payload: count for payload, count in more.items() if count > 0}
         after_end = sum(count for payload, count in unknown.items() if _sent_ns(payload) > self._last_ns[src])
-        said_ns, heard_ns = self._said_ns.get((src, dst), {}), self._heard_ns.get((src, dst), {})
-        least_ns = min((at_ns - said_ns[each] for each, at_ns in heard_ns.items() if each in said_ns), default=None)
-        return Link(src, dst, said.total(), heard.total(), unknown.total(), after_end, least_ns)
+        least_ns = min((min(heard[each]) - min(said[each]) for each in heard.keys() & said.keys()), default=None)
+        return Link(src, dst, n_said, n_heard, sum(unknown.values()), after_end, least_ns)
 
 
 APART_NS = 1_000_000_000  # of two robots' clocks: less may be what messages took

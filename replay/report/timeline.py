@@ -192,12 +192,11 @@ class Account:
 
     def show(self, state: State, t_s: float) -> None:
         self.states.append((t_s, state))
-        cov_m2, since_s = None, t_s
-        if self._said is not None and self._said.x_m == state.posterior_m:
-            cov_m2 = self._said.cov_m2
+        cov_m2 = self._said.cov_m2 if self._said is not None and self._said.x_m == state.posterior_m else None
+        since_s = t_s
         if self.beliefs and self.beliefs[-1].t == state.t:
-            _, since_s, _, _, known_m2 = self.beliefs.pop()
-            cov_m2 = cov_m2 or known_m2
+            before = self.beliefs.pop()
+            since_s, cov_m2 = before.t_s, cov_m2 or before.cov_m2
         self.beliefs.append(Belief(state.t, since_s, t_s, state, cov_m2))
 
 

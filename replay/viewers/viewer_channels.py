@@ -267,12 +267,10 @@ class ViewerChannels:
             yield from self._survey.claim(claim)
         for said in outputs.said(topics.KEYFRAME):
             yield from self._survey.measured(said)
-        for line in outputs.log:
-            yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
+        yield from map(_logged, outputs.log)
 
     def _line(self, entry: Entry) -> Iterator[Made]:
-        line = _own(entry, LogLine)
-        yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
+        yield _logged(_own(entry, LogLine))
 
     def _image(self, entry: Entry) -> Iterator[Made]:
         """Nothing: viewers draw it as it is."""
@@ -319,7 +317,7 @@ class ViewerChannels:
             case Keyframe() as said:
                 yield from self._survey.heard(said)
             case LogLine() as line:
-                yield name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
+                yield _logged(line)
             case Image() as seen:
                 shown = image(seen.robot, seen.jpeg, "jpeg", seen.t_ns)
                 yield name(channels.PREVIEW, robot=seen.robot), seen.t_ns, shown
@@ -376,6 +374,10 @@ def protocol(view: RobotView) -> Any:
     counts = {"knows": KNOWS[state.knows], "refused": sum(state.refused.values()), "faults": len(state.faults)}
     nis = state.explain.nis if state.explain is not None else None
     return plot_of("Protocol", {**view.row, **counts, "nis": nis})
+
+
+def _logged(line: LogLine) -> Made:
+    return name(channels.LOG, robot=line.robot), line.sent_ns, foxglove.log_line(line)
 
 
 def _own(entry: Entry, kind: type[M]) -> M:
