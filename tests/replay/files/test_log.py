@@ -245,10 +245,12 @@ def test_a_file_that_is_taken_away_is_said_and_begun_anew(tmp_path: Path, what: 
 
 
 def test_a_folder_that_cannot_be_made_again_says_what_to_do(tmp_path: Path) -> None:
+    (tmp_path / "disk").mkdir()
+    (tmp_path / "dive").symlink_to(tmp_path / "disk")
+    (tmp_path / "file").write_text("a file")
     path = tmp_path / "dive" / "r1.mcap"
     with LogWriter(path, RUN) as writer:
         until(lambda: path.with_name("r1.mcap.active").exists())
-        path.parent.rename(tmp_path / "away")
-        (tmp_path / "dive").write_text("a file")
+        (tmp_path / "file").replace(path.parent)  # in one step: the writer finds no moment to make the folder in
         until(lambda: writer.failed)
     assert writer.failed == f"{path}.active: cannot be written: File exists; give another place"
