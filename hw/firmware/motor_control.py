@@ -36,6 +36,9 @@ _ESC_LIVES_MV = const(6000)
 _ESC_STARTS_US = const(2000000)
 _WATCH_US = const(40000)
 _NUDGE_SHIFT = const(5)  # of the full thrust
+# A rotor turns the robot against itself, by 12 mm times its thrust (estimated, and off by a third or less): nudges are
+# all along that. T5-T8 turn it back where they are at work: else a nudge a second sways the yaw by half a degree.
+_REACTION_MM = const(12)
 _ROCK_urad_s2 = const(1200000)  # half a degree of a robot whose sensors follow, and some of one whose do not
 _STILL_uN = const(1000000)  # a push of less than 1 N is none: it may sit a few cm off the middle
 _STILL_uNm = const(100000)
@@ -271,10 +274,14 @@ class Control:
         forces, slew = self._forces_uN, self._slew_uN * ticks
         self.saturated = 1 if thrust.central(want, full, slew, forces, realised) else 0
         realised[0] -= weight
-        if thrust.flat(set_point.force_uN[0], set_point.force_uN[1], set_point.yaw_uNm, full, forces):
+        fx, fy, turn = set_point.force_uN[0], set_point.force_uN[1], set_point.yaw_uNm
+        nudge = probe.sign() * (full >> _NUDGE_SHIFT) if probe and not self.saturated else 0
+        if nudge and (fx or fy or turn):
+            turn -= nudge // 250 * _REACTION_MM
+        if thrust.flat(fx, fy, turn, full, forces):
             self.saturated |= 2
-        nudge = probe.sign() * (full >> _NUDGE_SHIFT) if probe else 0
-        if not nudge or self.saturated:
+            nudge = 0
+        if not nudge:
             thrust.pulses(forces, self.neutral_us, full, self.pulses_us)
             return
         for j in range(4):

@@ -29,9 +29,10 @@ from agent.core.messages import Symmetric, Vector
 OF_THRUST, OF_DRAG = 0.15, 0.4  # share, one sigma: thrusters' gains and the mass; drag may be half or twice as large
 OF_TURN = 0.05  # of the moment, what its own gain, which is learnt, leaves: no two thrusters have the same lag
 ARM_M = 0.003  # of every push, which makes some moment: no two thrusters are alike
-# What a moment is off by while thrusters turn: near zero each gives what its own dead band leaves of a small thrust.
-# In surveys of the twin a turn is off by 0.1 rad/s^2 for some tenths of a second: as white noise that is this or more.
-DEAD_NM = 0.002
+# What a moment is off by while thrusters turn: near zero each gives what its own dead band leaves of a small thrust,
+# and T5-T8 do not quite undo what nudges of T1-T4 turn (hw/firmware/motor_control.py). Robots of the twin that hover
+# are off by as much as they say with this.
+DEAD_NM = 0.0008
 # What thrust has wrong while it stays the same is a push, which is learnt: in doubt is only what differs from the mean
 # of so long. Else a robot that holds against a steady pull of 1.5 N would never know how it moves.
 STEADY_S = 8.0

@@ -31,7 +31,7 @@ from agent.capabilities.swim.projection import (
     tag_noise,
     upright,
 )
-from agent.core.attitude import TARED, Attitude, Zeros
+from agent.core.attitude import DEPTH_NOISE_M, LEVEL_NOISE_RAD, TARED, Attitude, Zeros
 from agent.core.config import Landmarks
 from agent.core.linear_algebra import (
     ZERO,
@@ -53,7 +53,6 @@ from agent.core.step_io import SeenTag
 # --- priors ---
 # What is known of depth, level and gimbal before any tag is seen, and how well.
 
-LEVEL_DEG = 0.05  # of roll and pitch, from frame to frame: noise of pressure over a base of 0.26 m
 WAKE_DEG_S2_M2 = 16.0  # dynamic pressure over the same base: at 0.25 m/s the body pitches by 1.0 degrees
 REST_DEG = 0.02  # a servo at rest, after an approach from its low side
 TURNING_DEG = 0.3  # and while it turns
@@ -97,14 +96,13 @@ def priors(
 
     gimbal_deg: pan and tilt as the servos really do them; turning: whether they may still be moving; zero_deg: sigma of
     their calibrated zeros, which is in every frame the same; lag_deg: of how far they are behind what they are told;
-    zeros: of the sensors. What they make wrong and is no noise stays for minutes.
+    zeros: of the sensors; what they make wrong stays for minutes.
     """
-    fluctuates = max(math.radians(LEVEL_DEG), wake_rad(speed_m_s))
-    stays = math.sqrt(max(zeros.tilt_rad**2 - math.radians(LEVEL_DEG) ** 2, 0.0))
-    roll, pitch = (Prior(math.radians(deg), fluctuates, stays) for deg in (level.roll_deg, level.pitch_deg))
+    fluctuates = max(LEVEL_NOISE_RAD, wake_rad(speed_m_s))
+    roll, pitch = (Prior(math.radians(deg), fluctuates, zeros.tilt_rad) for deg in (level.roll_deg, level.pitch_deg))
     servo_deg = math.hypot(TURNING_DEG if turning else REST_DEG, lag_deg)
     pan, tilt = (Prior(math.radians(deg), math.radians(servo_deg), math.radians(zero_deg)) for deg in gimbal_deg)
-    return Priors(Prior(level.depth_m, 0.0, zeros.height_m), roll, pitch, pan, tilt)
+    return Priors(Prior(level.depth_m, DEPTH_NOISE_M, zeros.height_m), roll, pitch, pan, tilt)
 
 
 # --- fix from a prediction ---

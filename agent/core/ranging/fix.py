@@ -13,7 +13,7 @@ import math
 from collections.abc import Iterable
 from typing import NamedTuple
 
-from agent.core.attitude import TARED, Zeros
+from agent.core.attitude import DEPTH_NOISE_M, LEVEL_NOISE_RAD, TARED, Zeros
 from agent.core.config import CAREFUL, Budget, Cues, Target
 from agent.core.estimation.evidence_table import inside
 from agent.core.estimation.interface import NOTHING, Bearing
@@ -99,10 +99,11 @@ def locate(
     if own is not None:
         heading = place2 = 0.0  # `own` has them
     rolled, pitched, turned = (cross(e, arm) for e in (X, Y, Z))
+    white = [(rolled, LEVEL_NOISE_RAD**2), (pitched, LEVEL_NOISE_RAD**2), (Z, DEPTH_NOISE_M**2)]
     attitude = [(rolled, zeros.tilt_rad**2), (pitched, zeros.tilt_rad**2), (turned, heading)]
     place = [(X, place2), (Y, place2), (Z, zeros.height_m**2)]
     drift_m2_s2 = _sum([(rolled, zeros.tilt_rad_s**2), (pitched, zeros.tilt_rad_s**2), (Z, zeros.height_m_s**2)])
-    random_m2 = _sum([(r, d.random_m2), *turns, *shifts])
+    random_m2 = _sum([(r, d.random_m2), *turns, *shifts, *white])
     systematic_m2 = _sum([(r, d.systematic_m2), *attitude, *place, *boxed])
     if own is not None:
         random_m2 = plus(random_m2, times(own.kappa, carried(arm, own.fluctuates)))
@@ -460,7 +461,7 @@ def sight_line(
     px_sigma = math.hypot(
         camera.noise_px, outline.centre_sigma_px, *_bent_px(outline, target, camera.f_px / range_m, side)
     )
-    sigma_rad = math.hypot(px_sigma / camera.f_px, gimbal_sigma_rad, zeros.tilt_rad)
+    sigma_rad = math.hypot(px_sigma / camera.f_px, gimbal_sigma_rad, LEVEL_NOISE_RAD, zeros.tilt_rad)
     line = bearing((px, py, pz), r, range_m, sigma_rad, t_ns, pose_m2, sigma_m, way)
     if far_m is None:
         return line

@@ -26,7 +26,7 @@ from agent.core.config import Fleet
 from agent.core.linear_algebra import full
 from agent.core.messages import Message, Vector
 from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit, centre_behind_skin_m, pixel
-from agent.core.ranging.fix import CENTRE_NOISE_PX
+from agent.core.ranging.fix import CENTRE_NOISE_PX, EDGE_NOISE_PX
 from agent.core.ranging.focus import as_on_axis, port_share
 from agent.core.step_io import (
     BlockPeaks,
@@ -174,8 +174,9 @@ def points_of_planes(rng: np.random.Generator) -> Array:
 
 
 # --- drawn ball: its outline, and clarity at each lens position of a sweep ---
-# What it errs by is what the kernel is told that it errs by: the picture by its noise; the lens by its calibration's
-# covariance and noise, drawn once, and for each sweep; so that a measurement is as good as it says.
+# What it errs by is what the kernel is told that it errs by: the picture by its noise, and in its radius alike from
+# frame to frame; the lens by its calibration's covariance and noise, drawn once, and for each sweep; so that a
+# measurement is as good as it says.
 
 # What the bench finds of a robot of the twin, rounded.
 FOCUS = FocusFit(
@@ -283,6 +284,7 @@ class DrawnBall(DrawnTarget):
         off = self._rng.multivariate_normal(np.zeros(3), full(FOCUS.covariance))
         self._lens = np.array([FOCUS.u_inf_m, FOCUS.b_m, FOCUS.rho0]) + off
         self._shift, self._sweep = 0.0, 0
+        self._wide_px = float(self._rng.normal(0.0, RADIUS_SIGMA_PX))
 
     def _begins(self, sweep: int) -> None:
         if sweep != self._sweep:
@@ -323,7 +325,7 @@ class DrawnBall(DrawnTarget):
             skin_m = distance_m - centre_behind_skin_m(skin_m, self._radius_m)
         u_inf, b, rho0 = self._lens
         peak = rho0 + b / (as_on_axis(skin_m * z / distance_m, port_share(self._camera, centre)) - u_inf)
-        return (u, v), radius_px + float(self._rng.normal(0.0, RADIUS_SIGMA_PX)), float(peak)
+        return (u, v), radius_px + self._wide_px + float(self._rng.normal(0.0, EDGE_NOISE_PX)), float(peak)
 
 
 def hides(pillar: Pillar, from_m: tuple[float, float], ball_m: Vector) -> bool:
