@@ -252,7 +252,9 @@ def test_a_first_fix_that_may_be_its_mirror_image_is_none() -> None:
 def test_what_is_known_before_a_tag_is_seen() -> None:
     rest = known_before(Attitude(0.3, 1.0, -2.0), (10.0, -5.0), 0.0, turning=False, zero_deg=0.05)
     np.testing.assert_allclose([p.value for p in rest], [0.3, *np.radians([1.0, -2.0, 10.0, -5.0])])
-    np.testing.assert_allclose(np.degrees(np.sqrt([rest.roll.variance, rest.pitch.variance])), 0.06)
+    for prior in (rest.roll, rest.pitch):
+        np.testing.assert_allclose(np.degrees([prior.fluctuates, prior.stays]), [0.08, 0.035], rtol=0.01)
+    np.testing.assert_allclose([rest.depth.fluctuates, rest.depth.stays], [0.00024, 0.0004], rtol=0.01)
     np.testing.assert_allclose(np.degrees([rest.pan.fluctuates, rest.tilt.stays]), [0.02, 0.05])
     swims = known_before(Attitude(0.3, 0.0, 0.0), (0.0, 0.0), 0.25, turning=True)
     np.testing.assert_allclose(np.degrees([swims.pitch.fluctuates, swims.pan.fluctuates]), [1.0, 0.3])

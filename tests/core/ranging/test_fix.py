@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from agent.core.attitude import DEPTH_NOISE_M, LEVEL_NOISE_RAD
 from agent.core.config import CAREFUL, Body, Pose, Target
 from agent.core.estimation.track import FixedLagFilter, Held, swimming
 from agent.core.ranging import fix
@@ -140,8 +141,11 @@ def test_random_covariance_is_that_of_draws(cue, d, off):
     s_px = math.hypot(CAMERA.noise_px, fix.CENTRE_NOISE_PX)
     gimbal, right, down = math.radians(CAMERA.noise_deg), *np.array(here.rotation).T[:2]
     places = []
-    for e in drawn(1, 6):
-        there = turned(here, turn(right, gimbal * e[0]) @ turn(down, gimbal * e[1]), here.position_m)
+    for e in drawn(1, 9):
+        level = turn((1, 0, 0), LEVEL_NOISE_RAD * e[6]) @ turn((0, 1, 0), LEVEL_NOISE_RAD * e[7])
+        there = turned(here, level, here.body_m)
+        there = turned(there, turn(right, gimbal * e[0]) @ turn(down, gimbal * e[1]), there.position_m)
+        there = there._replace(position_m=tuple(np.array(there.position_m) + (0.0, 0.0, DEPTH_NOISE_M * e[8])))
         u, v = outline.centre_px
         look = outline._replace(
             centre_px=(u + s_px * e[2], v + s_px * e[3]), radius_px=outline.radius_px + fix.EDGE_NOISE_PX * e[4]

@@ -15,9 +15,10 @@ import pytest
 from hw.firmware import bus, wire
 from hw.twin.board import NO_TIME, RESET_CAUSE, Board, Boot, CycleTimes, read_table
 from hw.twin.dive import run_in_lock_step
+from hw.twin.physics.body import matrix
 from hw.twin.physics.tank import STEP_S
 from hw.twin.scene import SlowBoard
-from tests.hw.firmware.diving_robot import diving_robot
+from tests.hw.firmware.diving_robot import HOVER, diving_robot
 from tests.hw.twin.stand_ins import answer, catch_up, gone, pid, tell
 from tests.places import ROOT
 from tests.studies.board import imposed
@@ -342,3 +343,25 @@ def test_a_robot_rolls_where_its_board_loses_every_fourth_tick(tmp_path):
         assert len(robot.telemetry) - first == pytest.approx(0.75 * 50 * 4, abs=3)
     assert before_deg < 0.2
     assert after_deg > 1.1 * before_deg, "nudges of the thrusters make most of either"
+
+
+def sway_deg(robot, seconds=4.0):
+    """Amplitude of the yaw that comes and goes once a second."""
+    yaws = []
+    for _ in range(round(100 * seconds)):
+        robot.run(0.01)
+        ahead = matrix(robot.dive.states["quaternion"][0])[:, 0]
+        yaws.append(np.arctan2(ahead[1], ahead[0]))
+    t = np.arange(len(yaws)) / 100.0
+    parts = [t**0, t, t**2, t**3, np.cos(2.0 * np.pi * t), np.sin(2.0 * np.pi * t)]
+    return float(np.degrees(np.hypot(*np.linalg.lstsq(np.stack(parts, 1), np.unwrap(yaws), rcond=None)[0][4:])))
+
+
+def test_nudges_do_not_sway_a_robot_whose_flat_thrusters_are_at_work(tmp_path):
+    with diving_robot(tmp_path, moored=False) as robot:
+        robot.arm()
+        at_rest_deg = sway_deg(robot)
+        robot.asks = msgspec.structs.replace(HOVER, force_n=(0.1, 0.0))
+        robot.run(1.0)
+        assert sway_deg(robot) < 0.4 * at_rest_deg
+    assert at_rest_deg > 0.15
