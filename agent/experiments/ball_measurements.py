@@ -130,13 +130,13 @@ def rotation_of(roll_deg: float, pitch_deg: float, yaw_deg: float) -> Array:
 # --- depth, roll and pitch as four drifting pressure sensors measure them ---
 
 DIVE_S = 120.0  # sensors have drifted for up to so long
-AVERAGED = 10  # samples of a sensor, 0.1 s: what the control module's observer makes of them
+INTERPOLATED = 1.9  # readings that one makes which lies between two frames of telemetry: the level errs by 0.08 degrees
 
 
 def level_of(depth_m: float, roll_deg: float, pitch_deg: float, rng: np.random.Generator) -> tuple[Attitude, float]:
     """Attitude as it is measured at some time of a dive, from what it is; and that time, s."""
     rate_m_s, on_s = rng.normal(0.0, DRIFT_M_S, 4), float(rng.uniform(0.0, DIVE_S))
-    error_m = rate_m_s * drifted_s(on_s) + rng.normal(0.0, NOISE_M / math.sqrt(AVERAGED), 4)
+    error_m = rate_m_s * drifted_s(on_s) + rng.normal(0.0, NOISE_M / math.sqrt(INTERPOLATED), 4)
     # z rises to the left with roll, and falls ahead with pitch: a sensor that reads too deep stands too low.
     deeper_m, ahead, left = seems(error_m)
     return Attitude(depth_m + deeper_m, roll_deg - math.degrees(left), pitch_deg + math.degrees(ahead)), on_s

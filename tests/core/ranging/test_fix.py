@@ -145,7 +145,7 @@ def test_random_covariance_is_that_of_draws(cue, d, off):
         level = turn((1, 0, 0), LEVEL_NOISE_RAD * e[6]) @ turn((0, 1, 0), LEVEL_NOISE_RAD * e[7])
         there = turned(here, level, here.body_m)
         there = turned(there, turn(right, gimbal * e[0]) @ turn(down, gimbal * e[1]), there.position_m)
-        there = there._replace(position_m=tuple(np.array(there.position_m) + (0.0, 0.0, DEPTH_NOISE_M * e[8])))
+        there = there._replace(position_m=tuple(np.add(there.position_m, (0.0, 0.0, DEPTH_NOISE_M * e[8]))))
         u, v = outline.centre_px
         look = outline._replace(
             centre_px=(u + s_px * e[2], v + s_px * e[3]), radius_px=outline.radius_px + fix.EDGE_NOISE_PX * e[4]
