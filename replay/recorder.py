@@ -390,7 +390,7 @@ def black_box_log(
     views: bool,
     depth: MeasureDepth | None = None,
 ) -> LogWriter:
-    """The file `<robot>.mcap`, or `<robot>.2.mcap` and so on after a restart.
+    """The file `<robot>.mcap`, or `<robot>.2.mcap` and so on after a restart. A robot goes on without it.
 
     `views`: with channels for viewers; `depth`: what makes depth maps for them.
     """
@@ -400,6 +400,7 @@ def black_box_log(
         attachments={"fleet.toml": dump(fleet), "calibration.toml": dump(calibration)},
         splits_at=channels.STEP_IN.name,
         derive=ViewerChannels(fleet, robot, calibration, depth) if views else None,
+        needed=False,
     )
 
 

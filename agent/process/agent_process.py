@@ -288,12 +288,11 @@ def run(
     behaviour: str | None = None,
     doubts: Callable[[Fleet], str | None] = lambda fleet: None,
 ) -> None:
-    """One agent process, from its fleet file until `stop` is set. Raises ConfigError or CameraError before anything
-    moves.
+    """One agent process until `stop` is set. Raises ConfigError or CameraError before anything moves.
 
     With `arm` the motors start once the control module agrees; without it everything else works and they stay off.
-    `lossless` records frames bit by bit. `behaviour`: what the
-    robot does in place of what the file says, as the file would say it. `doubts`: what will go wrong though it starts.
+    `lossless` records frames bit by bit. `behaviour`: what the robot does in place of what the file says, as the file
+    would say it. `doubts`: what will go wrong though it starts.
     """
     setup = load_setup(fleet_path, name, behaviour)
     if (why := doubts(setup.fleet)) is not None:
@@ -307,7 +306,8 @@ def run(
         process.open_eyes()
         process.open_module(arm)
         motors = "motors start when the control module agrees" if arm else "motors stay off (--arm starts them)"
-        tell(f"{name}: {motors}; recording {process.log.path}; Ctrl-C ends it\n")
+        file = "nothing" if process.log.fault else process.log.path
+        tell(f"{name}: {motors}; recording {file}; Ctrl-C ends it\n")
         process.runtime(arm).run(stop)
     fault = process.log.fault
     tell(f"{name}: stopped; {f'not all was recorded: {fault}' if fault else f'recorded {process.log.path}'}\n")

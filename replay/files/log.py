@@ -59,8 +59,8 @@ class LogWriter:
 
     A full backlog loses frames first, then its oldest messages; both are counted and noted on the channel DROPS.
     Whatever goes wrong in the thread ends the recording and stands in `failed`; the caller goes on. A disk without room
-    stands there too, and the next part begins once there is room again. A file that is removed or moved away is begun
-    anew. `at_end` are facts for the last note, which the caller may add to until the end. Context manager.
+    stands there too, and the next part, or the first, begins once there is room. A file that is removed or moved away
+    is begun anew. `at_end` are facts for the last note, which the caller may add to until the end. Context manager.
     """
 
     def __init__(
@@ -71,8 +71,10 @@ class LogWriter:
         limits: Limits = Limits(),  # noqa: B008 - a NamedTuple cannot change
         splits_at: str | None = None,
         derive: Derive | None = None,
+        needed: bool = True,
     ) -> None:
-        """`run` becomes the metadata `aucamp.run`; `attachments` are texts by file name.
+        """`run` becomes the metadata `aucamp.run`; `attachments` are texts by file name. `needed`: the caller is not to
+        begin without its file; else that it cannot be created stands in `failed`, as what goes wrong later.
 
         A new part begins with a message on the channel `splits_at`; None: with any. `derive` gives further messages to
         write behind each one; it runs on the thread, and where it raises, that message has none.
@@ -83,7 +85,7 @@ class LogWriter:
         self._lost: str | None = None  # what was recorded and is there no more
         self._attachments = attachments or {}
         self._run = run
-        self._limits, self._splits_at, self._derive = limits, splits_at, derive
+        self._limits, self._splits_at, self._derive, self._needed = limits, splits_at, derive, needed
         self._backlog = Backlog(BACKLOG_MESSAGES, BACKLOG_BYTES)
         self._dropped: Counter[str] = Counter()
         self._not_derived: Counter[str] = Counter()  # messages without viewer channels, by what was wrong
@@ -95,8 +97,15 @@ class LogWriter:
         self._thread = threading.Thread(target=self._work, name=f"log {path.name}", daemon=True)
 
     def __enter__(self) -> Self:
-        """Create the file. Raises ConfigError if it cannot be, or if there is one already."""
-        self._part = Part(self.path)
+        """Create the file. Raises ConfigError if it is needed and cannot be, or if there is one already."""
+        try:
+            self._part = Part(self.path)
+        except ConfigError as error:
+            if self._needed:
+                raise
+            self.failed, self._cause = str(error), "never begun"
+            logger.error("recording stopped: %s", self.failed)
+            return self
         prepare()  # the thread reads messages, for viewers
         self._thread.start()
         return self
@@ -150,7 +159,8 @@ class LogWriter:
 
     def _write_all(self) -> None:
         self._busy_since_s = machine.monotonic_s()
-        self._begin_part()
+        if not self._begin_first():
+            return None
         synced_s = machine.monotonic_s()
         while True:
             self._busy_since_s = machine.monotonic_s()
@@ -161,6 +171,10 @@ class LogWriter:
                 self._end_part("disk_floor")
                 if not self._room_again(full):
                     return None
+                self._number += 1
+                self._part = Part(part(self.path, self._number))
+                self._begin_part()
+                self._goes_on()
             self._write_waiting()
             self._part.flush()
             if last:
@@ -173,7 +187,7 @@ class LogWriter:
             self._wake.clear()
 
     def _room_again(self, full: str) -> bool:
-        """Wait until there is room, and begin the next part; False: the recording was closed meanwhile."""
+        """Wait until there is room; False: the recording was closed meanwhile."""
         self._waits, self.failed = True, full
         logger.error("%s: recording stopped: %s", self._part.path, full)
         self._busy_since_s = None
@@ -182,12 +196,12 @@ class LogWriter:
                 return False
             machine.wait(self._wake, WRITE_S)
             self._wake.clear()
-        self._number += 1
-        self._part = Part(part(self.path, self._number))
-        self._begin_part()
-        self._waits, self.failed = False, None
-        logger.warning("%s: recording goes on", self._part.path)
         return True
+
+    def _goes_on(self) -> None:
+        if self._waits:
+            self._waits, self.failed = False, None
+            logger.warning("%s: recording goes on", self._part.path)
 
     def _write_waiting(self) -> None:
         entries, drops = self._backlog.take()
@@ -223,6 +237,23 @@ class LogWriter:
             logger.warning("%s: not all for viewers of a message on %s: %s", self._part.path, entry.channel, why)
 
     # --- parts ------------------------------------------------------------------------------------------------
+
+    def _begin_first(self) -> bool:
+        """The first part; a disk that is full to the last byte takes it when there is room. False: the recording was
+        closed before that."""
+        try:
+            self._begin_part()
+            return True
+        except OSError:
+            if (full := self._floor_reached()) is None:
+                raise
+        self._part.abandon()
+        if not self._room_again(full):
+            return False
+        self._part = Part(self._part.path)
+        self._begin_part()
+        self._goes_on()
+        return True
 
     def _begin_part(self) -> None:
         self._began_s = machine.monotonic_s()

@@ -318,11 +318,13 @@ class Part:
         _sync_directory(self.path.parent)
 
     def abandon(self) -> None:
-        """Cut the file after its last flush and leave it `.active`; for a disk that takes no more."""
+        """For a disk that takes no more: cut the file after its last flush; it stays `.active`, unless it is empty."""
         with contextlib.suppress(OSError, ValueError):  # closing flushes, which that disk refuses again
             self._file.close()
         with contextlib.suppress(OSError):  # it went away, or it is finished
             os.truncate(active(self.path), self._sound)
+            if not self._sound:
+                active(self.path).unlink()
 
     def _register(self, entry: Entry) -> int:
         schema = 0  # none

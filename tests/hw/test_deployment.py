@@ -54,9 +54,9 @@ def test_each_command_is_one_of_ours(name):
 
 
 @pytest.mark.parametrize("name", SERVICES)
-def test_none_is_root_loops_or_writes_where_it_should_not(name):
+def test_none_is_root_or_writes_where_it_should_not_and_those_of_a_robot_are_up_after_a_reboot(name):
     service = SERVICES[name]
-    assert re.fullmatch(r"no|on-failure:[1-9]", service["restart"])
+    assert re.fullmatch(r"no|on-failure:[1-9]" if "twin" in name else "unless-stopped", service["restart"])
     assert filled_in(service["user"]) == "1000:1000"
     assert service["read_only"] is True and service["cap_drop"] == ["ALL"]
     assert service["security_opt"] == ["no-new-privileges:true"]
@@ -83,9 +83,28 @@ def test_what_a_command_names_is_there(name):
         assert service["depends_on"] == {"twin-fleet": {"condition": "service_completed_successfully"}}
 
 
-def test_a_second_start_of_the_recorder_has_another_file():
-    for name in ("recorder", "twin"):
-        assert "$(date -u +%Y%m%dT%H%M%SZ)" in filled_in(SERVICES[name]["command"][0])
+def started(name, recordings, tmp_path):
+    """What `aucamp` is given by the shell of a service, whose /recordings are there."""
+    line = filled_in(SERVICES[name]["command"][0]).replace("/recordings", str(recordings))
+    (tmp_path / "aucamp").write_text('#!/bin/sh\nfor word; do last=$word; done; echo "$last"\n')
+    (tmp_path / "aucamp").chmod(0o755)
+    path = f"{tmp_path}:{os.environ['PATH']}"
+    return subprocess.run(["sh", "-c", line], env={"PATH": path}, check=True, capture_output=True, text=True).stdout
+
+
+def test_a_second_start_of_the_recorder_has_another_file_and_one_that_broke_off_goes_on(tmp_path):
+    recordings = tmp_path / "recordings"
+    recordings.mkdir()
+    new = re.escape(str(recordings)) + r"/fleet-\d{8}T\d{6}Z\.mcap\n"
+    (recordings / "fleet-20260101T000000Z.mcap").touch()
+    assert re.fullmatch(new, started("recorder", recordings, tmp_path))
+    assert re.search(r"/twin-\d{8}T\d{6}Z$", started("twin", recordings, tmp_path))
+    for file in ("fleet-20260102T000000Z.mcap.active", "fleet-20260103T000000Z.2.part002.mcap.active"):
+        (recordings / file).touch()
+    assert started("recorder", recordings, tmp_path) == f"{recordings / 'fleet-20260103T000000Z.mcap'}\n"
+    for file in recordings.iterdir():
+        os.utime(file, (0, 0))  # of a dive long ago
+    assert re.fullmatch(new, started("recorder", recordings, tmp_path))
 
 
 def test_the_robot_has_its_devices_and_its_own_keys_alone(tmp_path):
@@ -205,6 +224,14 @@ def test_it_writes_where_it_may_and_finds_its_devices(tmp_path: Path) -> None:
         assert robot.camera.startswith("v4l2:") and "video4linux" in allowed
 
 
+def test_drivers_are_there_before_the_unit_says_what_may_be_opened() -> None:
+    """Of a class that the kernel does not know yet, systemd allows nothing."""
+    drivers = {"char-ttyACM rw": "cdc_acm", "char-ttyUSB rw": "usbserial", "char-video4linux rw": "uvcvideo"}
+    assert set(settings("DeviceAllow")) == drivers.keys()
+    for when in ("Wants", "After"):
+        assert {f"modprobe@{name}.service" for name in drivers.values()} <= set(" ".join(settings(when)).split())
+
+
 def test_a_crash_starts_it_again_at_once_and_without_end() -> None:
     assert settings("Restart") == ["on-failure"] and settings("StartLimitIntervalSec") == ["0"]
     assert float(settings("RestartSec")[0]) < 3.0, "the control module surfaces after so long without its agent"
@@ -220,6 +247,12 @@ def test_the_firewall_opens_the_ports_of_a_new_fleet(tmp_path: Path) -> None:
     for robot in load_fleet(tmp_path / "fleet.toml").robot.values():
         host, port = re.fullmatch(r"\w+/([\d.]+):(\d+)", robot.listen).groups()
         assert host.startswith(f"{network}.") and first <= int(port) <= last
+
+
+def test_the_firewall_leaves_alone_what_is_no_port_of_the_fleet() -> None:
+    """Neighbour discovery and names, for example: without them nobody gets there by IPv6."""
+    before, _, _ = FIREWALL.read_text(encoding="utf-8").partition(" drop\n")
+    assert "meta l4proto != tcp accept" in before and "tcp dport != $FLEET_PORTS accept" in before
 
 
 @pytest.mark.skipif(shutil.which("nft") is None, reason="no nft here")

@@ -244,6 +244,16 @@ def test_a_file_that_is_taken_away_is_said_and_begun_anew(tmp_path: Path, what: 
     assert info(path).complete
 
 
+def test_what_is_not_needed_goes_on_without_its_file(tmp_path: Path) -> None:
+    (tmp_path / "dive").write_text("a file")
+    path = tmp_path / "dive" / "r1.mcap"
+    with LogWriter(path, RUN, needed=False) as writer:
+        write(writer, 10)
+        assert writer.fault == f"{path}.active: cannot be written: File exists; give another place"
+    with pytest.raises(ConfigError, match="cannot be written"), LogWriter(path, RUN):
+        pass
+
+
 def test_a_folder_that_cannot_be_made_again_says_what_to_do(tmp_path: Path) -> None:
     (tmp_path / "disk").mkdir()
     (tmp_path / "dive").symlink_to(tmp_path / "disk")

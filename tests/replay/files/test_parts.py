@@ -4,6 +4,7 @@ import contextlib
 import itertools
 import json
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -215,6 +216,20 @@ def test_a_disk_that_fills_up(tmp_path: Path, floor_bytes: int, whole: bool) -> 
         sequences = [record.sequence for record in read(there) if record.channel == STEP_OUT.name]
         assert sequences == list(range(len(sequences)))
         assert len(sequences) * 900 > 1_500_000
+
+
+def test_a_disk_without_a_byte_is_recorded_on_once_there_is_room(tmp_path: Path) -> None:
+    with small_disk(tmp_path / "disk", "4m") as disk:
+        (disk / "full").write_bytes(bytes(shutil.disk_usage(disk).free))
+        path = disk / "r1.mcap"
+        with LogWriter(path, {}, limits=Limits(floor_bytes=1_000_000, floor_share=1.0)) as log:
+            until(lambda: log.failed)
+            assert "make room there" in (log.fault or "") and [file.name for file in disk.iterdir()] == ["full"]
+            (disk / "full").unlink()
+            until(lambda: log.fault is None)
+            write_steps(log, range(20))
+        assert info(path).complete
+        assert [record.sequence for record in read(path) if record.channel == STEP_OUT.name] == list(range(20))
 
 
 def test_viewer_channels_that_fail_do_not_end_the_recording(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
