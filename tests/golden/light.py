@@ -28,7 +28,7 @@ def fish(out: Path) -> None:
 
 def dark_survey(out: Path) -> None:
     """Three robots survey by lent light; an order to r1's lamp spoils its view, and some words are forged."""
-    world = DarkSurvey(1)
+    world = DarkSurvey(9)
     world.follows_points, world.forged = False, forged
     record(world, out, 20.0, [Said(17.5, "lamp", {"light": 0.5}), Said(18.5, "resume")])
 

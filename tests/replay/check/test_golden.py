@@ -124,7 +124,7 @@ def test_the_new_ones_show_what_they_are_kept_for() -> None:
     assert [one for one, _ in groupby(state.behaviour for state in fish)] == ["search", "follow"]
     assert "sees" in {state.knows for state in fish[-10:]}, "it goes with it"
     lines = {case: [line.text for line in log_lines(GOLDEN / case / "r1.mcap")] for case in CASES if case != "torn"}
-    assert "view 1000003 was spoiled: its own lamp changed" in lines["dark_survey"]
+    assert "view 1000002 was spoiled: its own lamp changed" in lines["dark_survey"]
     assert any(text.startswith("keyframe 1") for text in lines["dark_survey"])
     assert any(text.startswith("searches for 'ball' by the light of") for text in lines["dark"])
     assert lines["spoiled"].count("sweep rejected: spoiled: the lamp of r2 changed") == 2
