@@ -100,7 +100,7 @@ class Budget(Struct, frozen=True, kw_only=True):
     place_m: Annotated[float, Meta(ge=0)] = 0.0014  # in x and in y: surveyed to 1 mm, and moored to 1 mm
     height_m: Annotated[float, Meta(ge=0)] = 0.0004  # what the tare leaves
     heading_deg: Annotated[float, Meta(ge=0)] = 0.14  # surveyed to 0.1 degrees, and moored to 0.1
-    attitude_deg: Annotated[float, Meta(ge=0)] = 0.035  # roll and pitch: the same, over 0.26 m
+    attitude_deg: Annotated[float, Meta(ge=0)] = 0.035  # of roll and pitch, what the tare leaves
     # by how much the zero of a pressure sensor is another once it is warm: it makes height and attitude worse with time
     drift_m: Annotated[float, Meta(ge=0)] = 0.005
 

@@ -169,12 +169,9 @@ class LogWriter:
                 self._begin_again()
             if (full := self._floor_reached()) is not None:
                 self._end_part("disk_floor")
+                self._number += 1
                 if not self._room_again(full):
                     return None
-                self._number += 1
-                self._part = Part(part(self.path, self._number))
-                self._begin_part()
-                self._goes_on()
             self._write_waiting()
             self._part.flush()
             if last:
@@ -187,7 +184,7 @@ class LogWriter:
             self._wake.clear()
 
     def _room_again(self, full: str) -> bool:
-        """Wait until there is room; False: the recording was closed meanwhile."""
+        """Wait until there is room, and begin the part of that number; False: the recording was closed meanwhile."""
         self._waits, self.failed = True, full
         logger.error("%s: recording stopped: %s", self._part.path, full)
         self._busy_since_s = None
@@ -196,12 +193,11 @@ class LogWriter:
                 return False
             machine.wait(self._wake, WRITE_S)
             self._wake.clear()
+        self._part = Part(part(self.path, self._number))
+        self._begin_part()
+        self._waits, self.failed = False, None
+        logger.warning("%s: recording goes on", self._part.path)
         return True
-
-    def _goes_on(self) -> None:
-        if self._waits:
-            self._waits, self.failed = False, None
-            logger.warning("%s: recording goes on", self._part.path)
 
     def _write_waiting(self) -> None:
         entries, drops = self._backlog.take()
@@ -248,12 +244,7 @@ class LogWriter:
             if (full := self._floor_reached()) is None:
                 raise
         self._part.abandon()
-        if not self._room_again(full):
-            return False
-        self._part = Part(self._part.path)
-        self._begin_part()
-        self._goes_on()
-        return True
+        return self._room_again(full)
 
     def _begin_part(self) -> None:
         self._began_s = machine.monotonic_s()

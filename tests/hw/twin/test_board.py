@@ -15,7 +15,7 @@ import pytest
 from hw.firmware import bus, wire
 from hw.twin.board import NO_TIME, RESET_CAUSE, Board, Boot, CycleTimes, read_table
 from hw.twin.dive import run_in_lock_step
-from hw.twin.physics.body import matrix
+from hw.twin.physics.body import euler_rad
 from hw.twin.physics.tank import STEP_S
 from hw.twin.scene import SlowBoard
 from tests.hw.firmware.diving_robot import HOVER, diving_robot
@@ -350,8 +350,7 @@ def sway_deg(robot, seconds=4.0):
     yaws = []
     for _ in range(round(100 * seconds)):
         robot.run(0.01)
-        ahead = matrix(robot.dive.states["quaternion"][0])[:, 0]
-        yaws.append(np.arctan2(ahead[1], ahead[0]))
+        yaws.append(euler_rad(robot.dive.states["quaternion"][0])[2])
     t = np.arange(len(yaws)) / 100.0
     parts = [t**0, t, t**2, t**3, np.cos(2.0 * np.pi * t), np.sin(2.0 * np.pi * t)]
     return float(np.degrees(np.hypot(*np.linalg.lstsq(np.stack(parts, 1), np.unwrap(yaws), rcond=None)[0][4:])))
