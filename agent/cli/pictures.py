@@ -227,11 +227,11 @@ def calibrate(
 
         camera_calibration.print_board(*as_board(board or "14x9x20"), out or Path("board.pdf"), terminal())
     elif kind == "run":
-        from agent.tools import bench_calibration
+        from agent.tools import calibrate_run
 
         if robot is None:
             raise ConfigError("calibrate run: say which robot with --robot")
-        bench_calibration.run(Path(source), robot, out, terminal())
+        calibrate_run.run(Path(source), robot, out, terminal())
     elif kind == "focus":
         from agent.tools import focus_calibration
 

@@ -107,7 +107,6 @@ class OwnView(NamedTuple):
 
     phase: SwimPhase
     own: Motion | None  # by its own sensors; None: it does not know
-    best: Motion | None  # by which it points and swims: that one, or the one aided by a target
     at_landmarks: bool  # its camera is turned to landmarks
     calm: bool  # a sweep may begin: it takes seconds, in which a robot on its way would get lost
     does: str  # its behaviour in effect, as the fleet file calls it
@@ -135,7 +134,6 @@ class TargetView(NamedTuple):
 
     name: str
     believed: Posterior | None  # None as well of one that a moored robot does not watch (from propose on)
-    by_others: Posterior | None = None  # where all but this robot see it; of the target that aids the own pose
     estimate: TargetEstimate | None = None  # what the fleet agrees on; of the target of the behaviour
 
     @property
@@ -416,11 +414,6 @@ class PoseSource(Revertible):
     @property
     def moves(self) -> bool:
         return False
-
-    @property
-    def aided_by(self) -> str | None:
-        """The target that its pose may be aided by."""
-        return None
 
     @property
     def settling(self) -> bool:

@@ -50,7 +50,7 @@ CLAIMS: dict[str, Entry] = {
     "oracles": Entry(B + "bench_oracles", "what robots agree on, beside Stone Soup on the same numbers", WRONG),
     "tag-fix": Entry(E + "navigation.tag_fix", "where a robot is, by the tags of one frame", SWIM),
     "manoeuvres": Entry(E + "navigation.manoeuvres", "one robot holds, goes, turns and orbits", SWIM),
-    "around-ball": Entry(E + "navigation.around_ball", "robots cross, locate a ball, and are aided by it", SWIM),
+    "around-ball": Entry(E + "navigation.around_ball", "robots cross, and locate a ball", SWIM),
     "search": Entry(E + "navigation.search", "three robots, or one, search a ball", SWIM),
     "hold": Entry(B + "swim.bench_hold", "a robot holds its place by rendered frames", SWIM, ("agent/fleets",)),
     "gyro": Entry(B + "swim.bench_gyro", "yaw held against a pull, with a gyro and without", SWIM),

@@ -173,7 +173,7 @@ class Targets(Revertible):
         """Take note of frames that should show a target, with camera and lens at rest; see TargetState.looked."""
         for sighting in sightings:
             target = self.all.get(sighting.target)
-            if target is None or (own is not None and own.best is None):
+            if target is None or (own is not None and own.own is None):
                 continue
             if sighting.found:
                 target.looked(True, sighting.t_ns)
@@ -185,8 +185,7 @@ class Targets(Revertible):
                         target.looked(False, sighting.t_ns)
 
     def _kept(self, peak: Measurement, known: Sample, prior: Prior, now_ns: int) -> bool:
-        """Whether a robot that swims keeps a measurement until it knows better where it was then. The sighting may also
-        tell it where it is, by what others say of the target."""
+        """Whether a robot that swims keeps a measurement until it knows better where it was then."""
         level = self._attitude.at(peak.t_ns)
         if level is None:
             return False
@@ -241,7 +240,6 @@ class Targets(Revertible):
         return TargetView(
             target.name,
             target.estimator.posterior if asked else None,
-            target.estimator.by_others() if self._source.aided_by == target.name else None,
             target.estimate(now_ns) if own is not None and own.about == target.name else None,
         )
 

@@ -16,7 +16,7 @@ from agent.core.messages import Estimate
 from agent.core.ranging.fix import Fix
 from agent.experiments.claim import Quantile, Share
 from agent.experiments.navigation import around_ball, basin, manoeuvres, search
-from agent.experiments.navigation.around_ball import aided, crossing, free_place, target
+from agent.experiments.navigation.around_ball import crossing, free_place, target
 from agent.experiments.navigation.basin import CAMERA, PlanarBodies
 from agent.experiments.navigation.joint_filter import JointFilter
 from agent.experiments.navigation.manoeuvres import ORBIT_M, ORBIT_M_S, gone_round, goto, off_circle, settled_s
@@ -188,13 +188,6 @@ def test_the_bound_knows_the_ball_as_well_as_the_robots_that_measured_it(monkeyp
     assert row["bound_mm"] < 6.0 and max(row["error_mm"]) < 1.5 * row["bound_mm"]
 
 
-def test_who_sees_tags_is_not_aided_and_knows_best_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(around_ball, "AID_FIND_S", 15.0)
-    row = aided(0, seconds=10.0)
-    assert row["own_mm"][0] == row["aided_mm"][0] < 8.0
-    assert row["aided"] > 100 and row["nees"] / row["aided"] < 2.0
-
-
 # --- what is summed up ------------------------------------------------------------------------------------------
 
 
@@ -218,8 +211,6 @@ def test_what_robots_around_a_ball_come_to() -> None:
     assert found["target_ratio_to_bound"] == pytest.approx(1.1) and found["target_nees"] == 1.0
     silent = {"silent": 1, "doubted": False, "error_mm": [], "nees": [], "bound_mm": 1.0}
     assert around_ball.summary({"target": [known, silent]})["target_ratio_to_bound"] is None
-    rows = [{"own_mm": [1.0, 6.0, None], "aided_mm": [1.0, 3.0, None], "aided": 4, "nees": 2.0}]
-    assert around_ball.summary({"aid": rows}) == {"aid_own_mm": 6.0, "aid_aided_mm": 3.0, "aid_nees": 0.5}
     apart = [{"least_m": 0.33, "tried": 3, "reached": 2}, {"least_m": 0.4, "tried": 1, "reached": 1}]
     assert around_ball.summary({"separation": apart}) == {
         "separation_least_m": Quantile([0.33, 0.4], 0.0),

@@ -64,7 +64,7 @@ def record(
 
 
 def swim(out: Path) -> None:
-    """Two robots around a ball. r1 is sent about, loses its landmarks, and is aided by the ball that r2 sees."""
+    """Two robots around a ball. r1 is sent about, and loses its landmarks."""
     names = ("r1", "r2")
     poses = (Pose(x_m=0.8, y_m=0.6, yaw_deg=40.0), Pose(x_m=2.2, y_m=1.4, yaw_deg=-150.0))
     robots = {

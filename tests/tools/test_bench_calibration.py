@@ -24,7 +24,6 @@ from agent.tools.bench_calibration import (
     BoardSweep,
     board_peak,
     calibrate,
-    describe,
     middle_of,
     peaks_aside,
     setting,
@@ -32,6 +31,7 @@ from agent.tools.bench_calibration import (
     tilted_peaks,
     within_board,
 )
+from agent.tools.calibrate_run import describe
 from agent.tools.camera_calibration import COLUMNS, ROWS, SQUARE_M, find_corners
 from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus, fit_timing, told_apart
 from hw.camera.camera import FocusRange, Frame, Roi

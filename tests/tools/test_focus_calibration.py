@@ -18,7 +18,7 @@ from agent.core.ranging.focus import as_on_axis, h, port_share, range_variance
 from agent.core.ranging.sweep import full_positions
 from agent.process.command import Failed, plain_console
 from agent.tools import focus_calibration
-from agent.tools.bench_calibration import describe
+from agent.tools.calibrate_run import describe
 from agent.tools.camera_calibration import Corner, fit_camera
 from agent.tools.focus_calibration import (
     CalibrationRefused,

@@ -500,9 +500,9 @@ class Survey(Capability):
             return None
         rests = True
         if own is not None:
-            if own.best is None or not own.under_way:
+            if own.own is None or not own.under_way:
                 return None
-            vx, vy, rate = own.best.velocity
+            vx, vy, rate = own.own.velocity
             rests = math.hypot(vx, vy) < STILL_M_S and abs(rate) < STILL_RAD_S
         claims = tuple(view for _, view in self.exchange.claims(now_ns))
         surveyor.choose(pose, claims, self._others(situation), now_ns)

@@ -4,10 +4,13 @@ again. So the order in which events arrive does not count, to the bit.
 A fix belongs to the exposure of its frame, which is up to a few tenths of a second ago when it is known; a force to the
 moment when it was sent. What is older than the ring is dropped and counted. Beliefs are kept for longer than that: the
 sharpest frame of a sweep may be its first.
+
+Where a target was measured amid a sweep, fixes after it tell better where the robot was then: `Smoother`.
 """
 
 from __future__ import annotations
 
+import math
 from bisect import bisect_right
 from collections import deque
 from itertools import islice
@@ -27,12 +30,14 @@ from agent.capabilities.swim.pose_filter import (
     keep_key,
     kept_in,
     predict,
+    target_of,
 )
 from agent.core.messages import Symmetric, Vector
 from agent.core.step_transaction import Revertible
 
 RING_NS = 800_000_000  # ten frames' worth of vision and a busy computer
 KEEP_NS = 6_000_000_000  # as long as telemetry is kept (core/attitude.py)
+LOG_NS = 5_600_000_000  # a sweep of 4 s, whose sharpest frame may be its first, and the fixes after it
 
 Kind = Literal["1 asked", "2 fix", "3 flow", "4 key", "5 rate", "6 sighting"]  # of one moment, in this order
 
@@ -161,6 +166,55 @@ class EventRing(Revertible):
                 after = kept_in(after, self._within)
             self._predicted = belief, after
         return after
+
+
+class Seen(NamedTuple):
+    """A target at rest, measured from the robot: what the robot's own pose has wrong is not in it."""
+
+    target: str
+    t_ns: int  # of exposure
+    offset_m: Vector  # ahead, to the left, and its height in the world
+    random_m2: Symmetric  # averages out over sightings; world axes
+    alike_m2: Symmetric  # does not
+
+
+def offset_m(from_pose: Vector, place_m: Vector) -> Vector:
+    """Of a place in the world, as Seen has it. from_pose: x, y, yaw."""
+    east, north = place_m[0] - from_pose[0], place_m[1] - from_pose[1]
+    c, s = math.cos(from_pose[2]), math.sin(from_pose[2])
+    return c * east + s * north, c * north - s * east, place_m[2]
+
+
+class Smoother(Revertible):
+    """What happened in the last seconds, to go through it once more with a sighting (a fixed-lag smoother)."""
+
+    def __init__(self, hull: Hull, within: Basin | None = None) -> None:
+        """within: the walls that the robot does not get beyond, if they are known."""
+        self._hull, self._within = hull, within
+        self._log: deque[Event] = deque()
+
+    def reset(self) -> None:
+        """The filter began anew."""
+        self._log.clear()
+
+    def add(self, event: Event) -> None:
+        """What the filter was told."""
+        self._log.append(event)
+
+    def advance(self, now_ns: int) -> None:
+        """Let go of what is old."""
+        while self._log and self._log[0].t_ns < now_ns - LOG_NS:
+            self._log.popleft()
+
+    def place(self, seen: Seen, before: Belief) -> tuple[Vector, Symmetric] | None:
+        """The target's place and its covariance, m and m^2, by all that happened until now. before: the filter's belief
+        just before the sighting. None: nothing better is known."""
+        ring = EventRing(before, self._hull, Drift(), within=self._within)
+        for each in sorted((*self._log, sighting(seen.t_ns, seen.offset_m, seen.random_m2))):
+            if each.t_ns > before.t_ns:
+                ring.add(each)
+        belief = ring.newest
+        return target_of(belief) if belief.has_target else None
 
 
 def _time(of: Event | Belief) -> int:

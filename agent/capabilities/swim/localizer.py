@@ -13,9 +13,19 @@ from typing import Literal, NamedTuple
 
 from msgspec import UNSET
 
-from agent.capabilities.swim.aided_pose import Aid, Seen, offset_m
 from agent.capabilities.swim.barrier import STILL as AT_REST
-from agent.capabilities.swim.event_ring import RING_NS, Event, EventRing, asked, fix, flow, rate
+from agent.capabilities.swim.event_ring import (
+    RING_NS,
+    Event,
+    EventRing,
+    Seen,
+    Smoother,
+    asked,
+    fix,
+    flow,
+    offset_m,
+    rate,
+)
 from agent.capabilities.swim.landmarks import markers
 from agent.capabilities.swim.plane_odometry import Moved, by_things, odometry
 from agent.capabilities.swim.pose_filter import Belief, Drift, Hull, Wrench, basin, begin, learnt
@@ -35,7 +45,7 @@ from agent.capabilities.swim.tag_fix import (
 from agent.core.attitude import TARED, Attitude, Zeros
 from agent.core.capability import CameraView
 from agent.core.config import Body, Fleet
-from agent.core.estimation.interface import Posterior, Prior
+from agent.core.estimation.interface import Prior
 from agent.core.linear_algebra import minus, plus, times
 from agent.core.messages import Vector, Whereabouts
 from agent.core.ranging.camera_model import BodyFit, Calibration, CameraFit, gimbal_deg
@@ -234,7 +244,7 @@ class Localizer(Revertible):
         self._map = Map(fleet.landmarks, markers(fleet.landmarks))
         self.hull, self._gyro = hull_of(calibration.body), fleet.navigation.gyro
         self._ring: EventRing | None = None
-        self.aid = Aid(self.hull, self._basin)
+        self._smoother = Smoother(self.hull, self._basin)
         self._asked = STILL
         self._followed_ns = 0  # exposure of the newest frame whose points agreed with it, or contradicted it
         self._fixes_ns: deque[int] = deque()
@@ -271,7 +281,7 @@ class Localizer(Revertible):
             begun = begun if before is None else learnt(before, begun)
             self._ring = EventRing(begun, self.hull, Drift(), within=self._basin)
             self._asked = STILL
-            self.aid.reset()
+            self._smoother.reset()
         elif not self._tell(fix(frame.t_ns, pose, found.fluctuates, found.stays, found.tags - found.odd)):
             self._judged[-1] = frame.t_ns, "late"
             return
@@ -324,7 +334,7 @@ class Localizer(Revertible):
         """Whether it came in time."""
         if self._ring is None or not self._ring.add(event):
             return False
-        self.aid.add(event)
+        self._smoother.add(event)
         return True
 
     def sight(self, target: str, seen: Fix, known: tuple[Belief, OwnPose], filtered: Prior, now_ns: int) -> None:
@@ -333,7 +343,6 @@ class Localizer(Revertible):
         there, own = known
         offset = offset_m(there.pose, seen.position_m)
         sighting = Seen(target, filtered.t_ns, offset, seen.random_m2, seen.systematic_m2)
-        self.aid.see(sighting)
         self._unsettled = Unsettled(sighting, now_ns + SETTLE_NS, own, filtered)
 
     @property
@@ -350,7 +359,7 @@ class Localizer(Revertible):
         if now_ns < until_ns and sum(t_ns > seen.t_ns for t_ns in self._fixes_ns) < SETTLED:
             return None
         self._unsettled, before = None, self.at(seen.t_ns - 1)
-        smoothed = None if before is None else self.aid.smoothed(seen, before)
+        smoothed = None if before is None else self._smoother.place(seen, before)
         if before is None or smoothed is None:
             return seen.target, filtered
         place, spread_m2 = smoothed
@@ -359,20 +368,11 @@ class Localizer(Revertible):
         systematic_m2 = plus(seen.alike_m2, carried(arm_m, own.stays))
         return seen.target, filtered._replace(x_m=place, random_m2=random_m2, systematic_m2=systematic_m2)
 
-    def best(self, others: Posterior | None, now_ns: int) -> Belief | None:
-        """The aided pose of now where there is one, else the own; others: where all but this robot see `aid.target`."""
-        own, aid = self.at(now_ns), self.aid
-        if own is None:
-            return None
-        if aid.needed(own, others) and (settled := self.at(aid.begins_ns(now_ns))) is not None:
-            aid.begin(settled)
-        return aid.at(own, others) or own
-
     def advance(self, now_ns: int) -> None:
         """Let go of what is old."""
         if self._ring is not None:
             self._ring.advance(now_ns)
-        self.aid.advance(now_ns)
+        self._smoother.advance(now_ns)
         while self._fixes_ns and self._fixes_ns[0] < now_ns - round(MEMORY_S * 1e9):
             self._fixes_ns.popleft()
         while self._judged and self._judged[0][0] < now_ns - JUDGED_NS:

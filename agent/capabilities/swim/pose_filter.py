@@ -3,9 +3,9 @@
 State (x, y, psi, v_x, v_y, r, d_x, d_y, d_psi), what is learnt of the body and stays (by how many kg its added mass is
 larger aside than ahead, by what share its yaw moment is larger than was asked), the bias of the yaw rate where there is
 a gyro, and, once there is a key frame, the (x, y, psi) that the robot had when it was exposed: its clone, which what is
-seen since is measured from (Mourikis et al. 2007, stochastic cloning). A filter that is to be aided (aided_pose.py) has
-the place (x, y, z) of a target at rest before the clone, from the first sighting on. Lengths m, angles rad. Covariances
-of what fluctuates: what survey and zeros have wrong in every fix alike, `stays`, is added once where the pose is used.
+seen since is measured from (Mourikis et al. 2007, stochastic cloning). A filter that smooths a sighting (event_ring.py)
+has the place (x, y, z) of a target at rest before the clone. Lengths m, angles rad. Covariances of what fluctuates:
+what survey and zeros have wrong in every fix alike, `stays`, is added once where the pose is used.
 
 The body model comes first, then prediction, corrections by measurements, and the walls that no pose is beyond.
 """
@@ -291,13 +291,20 @@ def has_gyro(belief: Belief) -> bool:
     return own(belief) - (3 if belief.has_target else 0) > BIAS
 
 
+def target_of(belief: Belief) -> tuple[Vector, Symmetric]:
+    """The place of the target that is in the state, and the covariance of that, m and m^2."""
+    n, x, P = own(belief) - 3, belief.x, belief.P
+    spread = P[n][n], P[n][n + 1], P[n][n + 2], P[n + 1][n + 1], P[n + 1][n + 2], P[n + 2][n + 2]
+    return (x[n], x[n + 1], x[n + 2]), spread
+
+
 def frozen(rows: Sequence[Sequence[float]]) -> Covariance:
     return tuple(tuple(row) for row in rows)
 
 
 # --- corrections ---
-# Measurements of the filter's state, one at a time: landmarks, odometry since a key frame, a gyro's rate, a target at
-# rest. One whose NIS only one honest measurement in a thousand exceeds is refused.
+# Measurements of the filter's state, one at a time: landmarks, odometry since a key frame, a gyro's rate. One whose NIS
+# only one honest measurement in a thousand exceeds is refused. And the sighting of a target at rest.
 
 GATE = 16.27  # NIS of three numbers: one in a thousand is larger
 REFUSALS = 5  # of fixes in a row, after which it is the filter that is wrong
@@ -359,7 +366,7 @@ def add_rate(belief: Belief, rate_rad_s: float) -> Belief:
 
 
 def add_sighting(belief: Belief, offset_m: Vector, noise_m2: Symmetric) -> Belief:
-    """With a target at rest seen now: the first sighting puts its place into the state, later ones correct both.
+    """With the place of a target at rest, seen now, in the state.
 
     offset_m: ahead and to the left of the robot as its yaw has it, and the height in the world; noise_m2: of that, in
     the world. One while the yaw is poorly known says nothing.
@@ -372,11 +379,6 @@ def add_sighting(belief: Belief, offset_m: Vector, noise_m2: Symmetric) -> Belie
     xx, xy, xz, yy, yz, zz = noise_m2
     R = (xx, xy, xz), (xy, yy, yz), (xz, yz, zz)
     n = own(belief)
-    if belief.has_target:
-        H = ((n - 3, 1.0), (0, -1.0), (2, north)), ((n - 2, 1.0), (1, -1.0), (2, -east)), ((n - 1, 1.0),)
-        misses = [place - belief.x[n - 3 + k] for k, place in enumerate(seen_m)]
-        corrected = _correct(belief, H, misses, R)
-        return corrected if corrected.nis <= GATE else belief._replace(nis=corrected.nis)
     G: tuple[Sparse, ...] = ((0, 1.0), (2, -north)), ((1, 1.0), (2, east)), ()
     cross = [[_along(g, row) for row in belief.P] for g in G]  # 3 x n
     middle = [[_along(g, row) + r for g, r in zip(G, noise, strict=True)] for row, noise in zip(cross, R, strict=True)]

@@ -239,7 +239,8 @@ class Pursuit(Revertible):
     def look(self, situation: Situation) -> CameraAct | None:
         """Point the camera at the watched target, or to and fro where it ought to be, or all around where no robot
         knows; None: it is not its turn."""
-        now_ns, here, level = situation.now_ns, self._swimmer.here, situation.level
+        now_ns, level = situation.now_ns, situation.level
+        here = self._swimmer.localizer.at(now_ns)
         of, name = situation.target, situation.watched
         if name != self._swimmer.pursues or situation.camera.measuring:
             return None
@@ -277,7 +278,7 @@ class Pursuit(Revertible):
         high_m = PITCHED * (target.length_m or 0.0) + (target.radius_m or 0.0)
         high_m += SIGMAS * math.sqrt(max(believed.cov_m2[5], 0.0))
         room_deg = half_picture_deg(self._calibration.camera)[1] - math.degrees(math.atan2(high_m, far_m)) - FREE_DEG
-        wanted = self._swimmer.beside_deg(way_deg, room_deg, self._aside_deg, level)
+        wanted = self._swimmer.beside_deg(way_deg, room_deg, self._aside_deg, level, now_ns)
         self._aside_deg += min(max(wanted - self._aside_deg, -ASIDE_STEP_DEG), ASIDE_STEP_DEG)
 
     def _searched(self, at_m: Vector, cov_m2: Symmetric, here_m: Vector, lost_by_all: bool, now_ns: int) -> Vector:

@@ -71,21 +71,19 @@ class Swim(Capability, PoseSource):
 
     def decide(self, situation: Situation) -> Situation:
         swimmer, now_ns, did = self.swimmer, situation.now_ns, self.swimmer.does
-        by = self.aided_by
-        pose = swimmer.steer(None if by is None else situation.about(by).by_others, now_ns) or situation.pose
+        here = swimmer.localizer.at(now_ns)
+        pose = situation.pose if here is None else pose_of(here)
         search = swimmer.heed(replace(situation, pose=pose))
         if swimmer.does != did:
             self._log.note("info", f"{did} is over, now {swimmer.does}", now_ns)
         assert situation.own is not None
-        own = situation.own._replace(best=motion(swimmer.here), does=swimmer.does)
-        return replace(situation, pose=pose, search=search, own=own)
+        return replace(situation, pose=pose, search=search, own=situation.own._replace(does=swimmer.does))
 
     def _own(self, now_ns: int) -> OwnView:
         swimmer, here = self.swimmer, self.swimmer.localizer.at(now_ns)
         return OwnView(
             phase=swimmer.phase,
             own=motion(here),
-            best=motion(swimmer.here),
             at_landmarks=swimmer.at_landmarks,
             calm=calm(here),
             does=swimmer.does,
@@ -156,10 +154,6 @@ class Swim(Capability, PoseSource):
     @property
     def moves(self) -> bool:
         return True
-
-    @property
-    def aided_by(self) -> str | None:
-        return self.swimmer.localizer.aid.target
 
     @property
     def settling(self) -> bool:

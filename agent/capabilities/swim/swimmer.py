@@ -39,7 +39,6 @@ from agent.capabilities.swim.search import Hunt, Surroundings, velocity_m_s
 from agent.core.attitude import Attitude, AttitudeLog, zeros
 from agent.core.capability import BodyAct, CameraAct, CameraView, Situation, SwimPhase
 from agent.core.config import Behaviour, Fleet, Follow, Goto, Hold, Pose, Robot, Search, Survey
-from agent.core.estimation.interface import Posterior
 from agent.core.estimation.protocols import dynamics, pursued
 from agent.core.linear_algebra import wrap
 from agent.core.messages import Presence, Vector
@@ -273,7 +272,6 @@ class Swimmer(Revertible):
         self._swept_ns = 0  # when a sweep was last seen under way
         self.gimbal = GimbalHistory(calibration.camera, fleet.body)
         self._lost_since_ns: int | None = None
-        self.here: Belief | None = None  # what it steers by
         self.phase: SwimPhase = "lost"
         self._still: Reference | None = None  # where it stays, whatever it is told to do
 
@@ -343,12 +341,6 @@ class Swimmer(Revertible):
         self.phase = after(self.phase, Found(located, knows, rests))
         self._lost_since_ns = None if located else self._lost_since_ns or now_ns
 
-    def steer(self, others: Posterior | None, now_ns: int) -> Pose | None:
-        """Where to point and swim from: the better of two poses, that of its own sensors or the one aided by a target.
-        What it says, intends and doubts goes by the own one. others: where the target is by all but this robot."""
-        self.here = self.localizer.best(others, now_ns)
-        return None if self.here is None else pose_of(self.here)
-
     def _carriage_at(self, t_ns: int, attitude: AttitudeLog) -> Carriage | None:
         """Level and gimbal at that time; None: one of them is not known."""
         level, gimbal = attitude.at(t_ns), self.gimbal.at(t_ns)
@@ -383,8 +375,8 @@ class Swimmer(Revertible):
 
     def hidden(self, at_m: Vector, now_ns: int) -> None:
         """The target that is there is not in sight from here."""
-        if self.here is not None:
-            self._target_context.hidden(self.here.pose[:2], (at_m[0], at_m[1]), now_ns)
+        if (here := self.localizer.at(now_ns)) is not None:
+            self._target_context.hidden(here.pose[:2], (at_m[0], at_m[1]), now_ns)
 
     @property
     def lost(self) -> bool:
@@ -418,8 +410,7 @@ class Swimmer(Revertible):
                 return CameraAct()
             self._at_landmarks = True
             self._landmark_look.reset()
-        by = self.here or here
-        pose, known = (None, NOTHING) if by is None or adrift(by) else (situation.pose, Sure(*sigmas(by)))
+        pose, known = (None, NOTHING) if here is None or adrift(here) else (situation.pose, Sure(*sigmas(here)))
         from_deg = camera.gimbal_deg if swift else None
         aim_deg = self._landmark_look.direction_deg(pose, known, level, steady, now_ns, from_deg)
         return CameraAct(aim_deg, "track" if swift else "rest")
@@ -428,9 +419,11 @@ class Swimmer(Revertible):
         """The camera is not at landmarks any more."""
         self._at_landmarks = False
 
-    def beside_deg(self, way_deg: tuple[float, float], most_deg: float, before_deg: float, level: Attitude) -> float:
+    def beside_deg(
+        self, way_deg: tuple[float, float], most_deg: float, before_deg: float, level: Attitude, now_ns: int
+    ) -> float:
         """How far above a target to look, see LandmarkLook.tilt_aside_deg; straight at it where the robot is lost."""
-        here = self.here
+        here = self.localizer.at(now_ns)
         if here is None or adrift(here):
             return 0.0
         return self._landmark_look.tilt_aside_deg(way_deg, most_deg, before_deg, pose_of(here), level)
@@ -442,10 +435,10 @@ class Swimmer(Revertible):
         here, allowed = self.localizer.at(situation.now_ns), self._attitude.obeys(situation.now_ns)
         if not allowed:
             self.phase = after(self.phase, "disobeyed")  # one that lies still has to know its motion anew to begin
-        if not situation.light.still or self.here is None:
+        if not situation.light.still or here is None:
             self._still = None
         elif self._still is None:
-            self._still = Reference(self.here.pose[:2], self.here.pose[2])
+            self._still = Reference(here.pose[:2], here.pose[2])
         lies = here is None or not allowed or adrift(here)
         return self._asked(STILL, situation.now_ns) if lies else None
 
@@ -454,22 +447,22 @@ class Swimmer(Revertible):
         here = self.localizer.at(situation.now_ns)
         if here is None or not self.under_way or self._still is not None:
             return None
-        return self._asked(self._towards(here, self.here or here, situation), situation.now_ns)
+        return self._asked(self._towards(here, situation), situation.now_ns)
 
     def stay(self, situation: Situation) -> BodyAct | None:
         """Stay where it is, but out of the way of others."""
-        by = self.here or self.localizer.at(situation.now_ns)
-        if by is None or self.lost:
+        here = self.localizer.at(situation.now_ns)
+        if here is None or self.lost:
             return None
-        to = self._still or Reference(by.pose[:2], by.pose[2])
-        return self._asked(self._stays(by, to, situation.now_ns), situation.now_ns)
+        to = self._still or Reference(here.pose[:2], here.pose[2])
+        return self._asked(self._stays(here, to, situation.now_ns), situation.now_ns)
 
     def brake(self, situation: Situation) -> BodyAct | None:
         """Come to rest, as soon as it is lost."""
-        by, since_ns, now_ns = self.here or self.localizer.at(situation.now_ns), self._lost_since_ns, situation.now_ns
-        if by is None or since_ns is None or now_ns - since_ns >= BRAKES_NS:
+        here, since_ns, now_ns = self.localizer.at(situation.now_ns), self._lost_since_ns, situation.now_ns
+        if here is None or since_ns is None or now_ns - since_ns >= BRAKES_NS:
             return None
-        return self._asked(wrench(by, self.localizer.hull, Reference(by.pose[:2], by.pose[2]), AT_REST), now_ns)
+        return self._asked(wrench(here, self.localizer.hull, Reference(here.pose[:2], here.pose[2]), AT_REST), now_ns)
 
     def drift(self, situation: Situation) -> BodyAct:
         """No thrust: what it leans against may be drag that it believed wrong, and gone with its speed."""
@@ -479,18 +472,18 @@ class Swimmer(Revertible):
         ahead_n, left_n, moment_nm = asked
         return BodyAct((ahead_n, left_n), moment_nm, self.depth_m(now_ns))
 
-    def _stays(self, by: Belief, to: Reference, now_ns: int) -> Wrench:
+    def _stays(self, here: Belief, to: Reference, now_ns: int) -> Wrench:
         """There, but out of the way of others: a robot that drifts is pulled into them."""
-        velocity = self.deconfliction.velocity(wanted_velocity(by, to), by, to, (), now_ns)
-        return wrench(by, self.localizer.hull, to, velocity)
+        velocity = self.deconfliction.velocity(wanted_velocity(here, to), here, to, (), now_ns)
+        return wrench(here, self.localizer.hull, to, velocity)
 
-    def _towards(self, own: Belief, by: Belief, situation: Situation) -> Wrench:
-        """own: where it goes is said, and what is said has nothing in it that was heard; by: how it gets there."""
-        now_ns, limits, share, context = situation.now_ns, self._limits, pace(by), self._target_context
+    def _towards(self, here: Belief, situation: Situation) -> Wrench:
+        """Where its behaviour in effect wants it, and out of the way of others."""
+        now_ns, limits, share, context = situation.now_ns, self._limits, pace(here), self._target_context
         most_m_s, most_rad_s = share * limits.speed_m_s, share * math.radians(limits.turn_deg_s)
-        around = context.around._replace(velocity_m_s=(own.x[3], own.x[4]), speed_m_s=most_m_s)
+        around = context.around._replace(velocity_m_s=(here.x[3], here.x[4]), speed_m_s=most_m_s)
         watched_m = situation.target.believed_m
-        to = self.active.reference(own.pose, now_ns, around, None if watched_m is None else watched_m[:2])
+        to = self.active.reference(here.pose, now_ns, around, None if watched_m is None else watched_m[:2])
         if to.coast:
             return STILL
         rate_rad_s = min(max(to.rate_rad_s, -most_rad_s), most_rad_s)
@@ -499,9 +492,9 @@ class Swimmer(Revertible):
         to = to._replace(speed_m_s=min(most_m_s, to.most_m_s), rate_rad_s=rate_rad_s, turn_rad_s=turn_rad_s)
         if to.depth_m is not None:
             self._depth_m = to.depth_m
-        wanted = slowed(wanted_velocity(by, to), most_m_s)
-        velocity = self.deconfliction.velocity(wanted, by, to, self._targets(situation), now_ns)
-        return wrench(by, self.localizer.hull, to, velocity)
+        wanted = slowed(wanted_velocity(here, to), most_m_s)
+        velocity = self.deconfliction.velocity(wanted, here, to, self._targets(situation), now_ns)
+        return wrench(here, self.localizer.hull, to, velocity)
 
     def _targets(self, situation: Situation) -> tuple[Disc, ...]:
         """All targets whose places are known, to keep clear of."""

@@ -34,7 +34,6 @@ from agent.core.estimation.motion import Innovation, Motion
 from agent.core.estimation.moving_target import WINDOW, MovingTarget, unseen
 from agent.core.estimation.track import ROLLING, Dynamics, outer
 from agent.core.linear_algebra import (
-    ZERO,
     apply,
     difference,
     distance2,
@@ -123,9 +122,6 @@ class Evidence(Revertible):
             self._believed = self._mode.conclude(self.valid, self._believed, self._now_ns).posterior
             self._stale = False
         return self._hedged(self._believed)
-
-    def by_others(self) -> Posterior | None:
-        return None if self._step_m is not None else self._mode.by_others()
 
     def trust(self, keys: Mapping[str, bytes]) -> None:
         """Take over public keys. A robot that lost or changed its key is believed no more, from this moment."""
@@ -319,7 +315,6 @@ class StaticTarget(Revertible):
         self._cleaned = 0  # removals from the table that the ledgers know of
         self._let_go: dict[Key, int] = {}  # until when neighbours are told so
         self.outlived: int | None = None  # an incarnation of ours that is newer than the one we write under
-        self._by_others: tuple[int, Posterior | None] = (0, None)  # and at which change of the table; None at first
         self._gain = 0.0  # share of the newest own sample in the own sum
         self._nis: float | None = None
 
@@ -456,15 +451,6 @@ class StaticTarget(Revertible):
             return Conclusion(self._alone(valid) or before or _agreed(fused), "ambiguous", alpha, explain)
         doubted = fused.factors.get(self._me.key[0], 1.0) < 0.5
         return Conclusion(_agreed(fused), "fuse", alpha, explain, doubted)
-
-    def by_others(self) -> Posterior | None:
-        """Fused as all are, without level and survey: those are wrong alike for all, and do not show between robots."""
-        if self._by_others[0] != self._change:
-            others = [opinion for opinion in self._table.opinions() if opinion.origin != self._me.key[0]]
-            fused = fuse(others, self._me.shared._replace(place_m2=ZERO), self._me.liars)
-            place = None if fused is None or fused.verdict == "ambiguous" else _agreed(fused)
-            self._by_others = self._change, place
-        return self._by_others[1]
 
     def _alone(self, valid: bool) -> Posterior | None:
         """What our own samples say, while we see the target."""

@@ -79,10 +79,6 @@ class Estimator(Protocol):
     def posterior(self) -> Posterior | None:
         """x by all that was heard and measured so far, or since the last iteration where the protocol says so."""
 
-    def by_others(self) -> Posterior | None:
-        """Where a target at rest is without anything that this robot measured; None where no other robot
-        did, where others contradict each other, or where the protocol cannot leave out the robot's own part."""
-
     def trust(self, keys: Mapping[str, bytes]) -> None:
         """Take over the public keys of the robots. Where this was never called nothing is signed."""
 

@@ -78,9 +78,6 @@ class Mode(Protocol):
     def say(self, to: str, now_ns: int, between: bool = False) -> Gossip:
         """What this neighbour does not have yet, as far as fits. between: two rounds, the news alone."""
 
-    def by_others(self) -> Posterior | None:
-        """Where the target rests, all our own samples left out; see interface.Estimator."""
-
     def conclude(self, valid: bool, before: Posterior | None, now_ns: int) -> Conclusion:
         """Where the target is by all that is held. `before`: the posterior until now."""
 

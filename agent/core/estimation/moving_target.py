@@ -223,9 +223,6 @@ class MovingTarget(Revertible):
         of_speed = plus(outer(v_m_s), times(speed_m_s * speed_m_s, self._me.dynamics.axes))
         return {name: [_blurred(held, of_speed) for held in of] for name, of in fresh.items()}
 
-    def by_others(self) -> Posterior | None:
-        return None  # a place that the target moves on from is known less well than the robot's own
-
     def _tracks(self, fresh: dict[str, list[Held]], horizon_ns: int, now_ns: int) -> dict[str, Track]:
         """The track of each origin by its own samples alone, as of now."""
         self._own = {origin: self._own.get(origin, self._filter()) for origin in fresh}

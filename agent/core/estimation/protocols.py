@@ -107,9 +107,6 @@ class Means(Revertible):
         """A prior that has in its systematic error what the scale of all ranges makes of its lever."""
         return prior._replace(systematic_m2=plus(prior.systematic_m2, self._shared.scale_m2(prior.lever_m)))
 
-    def by_others(self) -> Posterior | None:
-        return None  # means have no origins
-
     def trust(self, keys: Mapping[str, bytes]) -> None:
         pass  # a belief has no origin that could sign it
 

@@ -1,19 +1,16 @@
-"""Robots whose ways cross, robots around a ball, and robots that rarely see tags and are aided by a ball."""
+"""Robots whose ways cross, and robots around a ball."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from functools import partial
 
 import msgspec
 import numpy as np
 
 from agent.capabilities.swim.barrier import RINGS_M
-from agent.capabilities.swim.localizer import LOST_DEG, LOST_M, within
-from agent.capabilities.swim.pose_filter import Belief
 from agent.core.config import Fleet, Goto, Look, Pose
-from agent.core.linear_algebra import difference, distance2, plus, upper, wrap
+from agent.core.linear_algebra import difference, distance2, upper, wrap
 from agent.core.messages import Vector
 from agent.experiments.claim import Claim, Figure, Quantile, Row, Rows, Share, Value, rms
 from agent.experiments.navigation import basin
@@ -126,59 +123,6 @@ def _facing_middle(x_m: float, y_m: float) -> Pose:
     return Pose(x_m=x_m, y_m=y_m, yaw_deg=math.degrees(math.atan2(BALL_M[1] - y_m, BALL_M[0] - x_m)))
 
 
-# --- aided: robots that rarely see tags, around a ball that others have located ---
-# Nothing else tells a robot how it moves: no points to follow, no gyro. A robot that sees tags more rarely than these
-# looks for them all the time, and no more at the ball.
-
-S = 1_000_000_000
-AID_FIND_S, AID_S = 25.0, 40.0  # with tags until then, for arming takes 7 s; then rarely
-SHOWS_S, EVERY_S = 2, (2, 4, 6, 8)  # tags in 2 s of every so many; of each robot, the first always sees them
-
-
-def aided(seed: int, seconds: float = AID_S) -> Row:
-    """Errors of each robot's own and aided pose while it knows where it is, after a quarter of the time; how often it
-    is aided, and the sum of its normalised errors squared then, a third of each."""
-    first = float(generator(seed, "aid").uniform(-math.pi, math.pi))
-    fleet = around([first + 2.0 * math.pi * k / len(EVERY_S) for k in range(len(EVERY_S))], seed)
-    own_mm: dict[str, list[float]] = {name: [] for name in fleet.robot}
-    aided_mm: dict[str, list[float]] = {name: [] for name in fleet.robot}
-    nees: list[float] = []
-    with twin_bodies(fleet) as bodies:
-        swimmers = Swimmers(fleet, bodies, BALL_M)
-        swimmers.follows_points = False
-        for _ in swimmers.each_step(AID_FIND_S):
-            pass
-        for eyes, every_s in zip(swimmers.eyes.values(), EVERY_S, strict=True):
-            eyes.sees_tags = partial(_shows_tags, every_s)
-        for now_s in swimmers.each_step(seconds):
-            if now_s <= 0.25 * seconds:
-                continue
-            for name in fleet.robot:
-                one = swimmers.swimmer(name)
-                own, best, truth = one.localizer.at(swimmers.now_ns), one.here, swimmers.place(name)
-                if own is None or best is None or not within(own, LOST_M, LOST_DEG):
-                    continue
-                own_mm[name].append(1e3 * math.dist(own.pose[:2], truth[:2]))
-                aided_mm[name].append(1e3 * math.dist(best.pose[:2], truth[:2]))
-                if best.pose != own.pose:
-                    nees.append(_planar_nees(best, truth))
-    return {
-        "own_mm": [rms(found) for found in own_mm.values()],
-        "aided_mm": [rms(found) for found in aided_mm.values()],
-        "aided": len(nees),
-        "nees": sum(nees),
-    }
-
-
-def _shows_tags(every_s: int, now_ns: int) -> bool:
-    return now_ns % (every_s * S) < SHOWS_S * S
-
-
-def _planar_nees(belief: Belief, truth: Vector) -> float:
-    x, y, psi = difference(belief.pose, truth)
-    return distance2(plus(belief.covariance, belief.stays), (x, y, wrap(psi))) / 3.0
-
-
 # --- the claim ---
 
 
@@ -189,21 +133,17 @@ class Settings(msgspec.Struct, frozen=True, kw_only=True):
     robots: int = CROSSING_ROBOTS  # that cross
     crossing_s: float = CROSSING_S
     loss: float = LOSS  # share of words that is lost
-    aid_s: float = AID_S
 
 
 def run(seed: int, case: str, settings: Settings) -> list[Row]:
     """Raises Failed where a firmware hangs."""
     if case == "target":
         return [target(seed, settings.target_s)]
-    if case == "aid":
-        return [aided(seed, settings.aid_s)]
     return [crossing(seed, settings.robots, settings.crossing_s, settings.loss)]
 
 
 def summary(rows: Rows) -> dict[str, Value]:
-    """Root mean squares are over seeds and robots. Where one robot does not know the ball, there is no number. Aided:
-    the robots whose tags are rare, all together."""
+    """Root mean squares are over seeds and robots. Where one robot does not know the ball, there is no number."""
     found: dict[str, Value] = {}
     if "separation" in rows:
         of = rows["separation"]
@@ -220,11 +160,6 @@ def summary(rows: Rows) -> dict[str, Value]:
         found["target_ratio_to_bound"] = error_mm / bound_mm if error_mm and bound_mm else None
         found["target_doubted"] = Share(sum(row["doubted"] for row in rows["target"]), len(rows["target"]))
         found["target_nees"] = float(np.mean(nees)) if nees else None
-    if "aid" in rows:
-        for key in ("own_mm", "aided_mm"):
-            found[f"aid_{key}"] = rms([off for row in rows["aid"] for off in row[key][1:] if off is not None])
-        moments = sum(row["aided"] for row in rows["aid"])
-        found["aid_nees"] = sum(row["nees"] for row in rows["aid"]) / moments if moments else None
     return found
 
 
@@ -233,8 +168,8 @@ CLAIM = Claim(
     run=run,
     summary=summary,
     settings=Settings,
-    cases=("separation", "target", "aid"),
-    quick={"target_s": 15.0, "robots": 4, "crossing_s": 10.0, "aid_s": 12.0},
+    cases=("separation", "target"),
+    quick={"target_s": 15.0, "robots": 4, "crossing_s": 10.0},
     measured_on="twin",
     figures=(
         Figure("separation_keep", f"{CROSS}: no two nearer than 0.34 m, share of dives", "%", least=95.0),
@@ -245,14 +180,10 @@ CLAIM = Claim(
         Figure("target_ratio_to_bound", "the former to the latter", "", most=1.2),
         Figure("target_nees", "their error as they say: NEES/3", "", least=0.7, most=1.3),
         Figure("target_doubted", "dives at whose end a robot says another word than `consistent`", "%"),
-        Figure("aid_own_mm", "robots that see tags 2 s of every 4, 6 and 8 s: own pose, rms", "mm"),
-        Figure("aid_aided_mm", "the same, aided by the ball", "mm"),
-        Figure("aid_nees", "the aided pose's error as it says: NEES/3", "", most=1.3),
     ),
     seeds=60,  # as many as the shares take
     explanation="""Whole agents swim with drawn tags and a drawn ball: on the twin's bodies under the board's firmware,
         and on planar bodies where ten of them cross, each told by the others where they are. The thruster rings of two
         robots touch at 0.34 m. The bound is a filter that has every measurement of all robots and keeps every
-        correlation. NEES is the error squared in units of the stated covariance, 3 where it is honest; poses count
-        while a robot knows by itself where it is.""",
+        correlation. NEES is the error squared in units of the stated covariance, 3 where it is honest.""",
 )

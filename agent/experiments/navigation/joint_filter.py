@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.capabilities.swim.aided_pose import offset_m
+from agent.capabilities.swim.event_ring import offset_m
 from agent.capabilities.swim.landmarks import markers
 from agent.capabilities.swim.localizer import Carriage
 from agent.capabilities.swim.plane_odometry import Moved, odometry
