@@ -73,3 +73,10 @@ def pytest_xdist_make_scheduler(config: pytest.Config, log):
 
     config.option.loadscopereorder = False  # files stay in our order, not in that of how many tests they have
     return ByFile(config, log)
+
+
+@pytest.fixture
+def undrawn(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports whose figures are made, but not drawn, which takes seconds: for tests of what they say."""
+    draw = "matplotlib.backends.backend_svg.FigureCanvasSVG.print_svg"
+    monkeypatch.setattr(draw, lambda canvas, text, **about: text.write("<svg>\n</svg>\n"))

@@ -71,6 +71,7 @@ def test_of_what_sigma_is_made(tmp_path: Path) -> None:
         CliRunner().invoke(app, ["explain", "sigma"], catch_exceptions=False)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_second_report_stands_beside_the_first(tmp_path: Path) -> None:
     shutil.copy(GOLDEN / "two" / "r1.mcap", tmp_path)
     (tmp_path / "report.html").write_text("the first")

@@ -107,7 +107,7 @@ NO_PLACE = {"GLOBAL_POSITION_INT", "LOCAL_POSITION_NED"}
         (at(place_sigma_m=-1.0), set(), mavlink.GPS_FIX_TYPE_3D_FIX),
         ({"roll_deg": 1e300}, {"ATTITUDE"}, mavlink.GPS_FIX_TYPE_STATIC),
     ],
-    ids=str,
+    ids=lambda each: None if isinstance(each, set) else str(each),  # the order of a set differs between processes
 )
 def test_what_no_field_holds_is_left_out_and_all_else_is_told(
     station: Station, about: dict[str, Any], missing: set[str], fix: int

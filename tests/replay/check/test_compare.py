@@ -188,6 +188,7 @@ def test_a_recording_from_before_batteries_were_said_is_told_from_another_behavi
     assert said not in text(check([old]))
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_every_other_verb_reads_them(tmp_path: Path) -> None:
     shutil.copytree(OLD, tmp_path / "run")
     assert "iteration 15" in explain(OLD / "r1.mcap")

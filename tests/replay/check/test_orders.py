@@ -105,6 +105,7 @@ def test_explain_and_viewers_name_who_ordered_what(box: Path) -> None:
     assert any(b"refuses what bob orders" in line for line in lines)
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_report_has_a_table_of_orders(box: Path) -> None:
     page = report(box.parent).read_text(encoding="utf-8")
     assert "What people ordered" in page

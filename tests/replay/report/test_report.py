@@ -221,6 +221,7 @@ def test_every_table_and_figure_says_what_to_see(page: str) -> None:
         assert min(notes) > 40
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_without_a_truth_nothing_is_compared_with_one(tmp_path: Path) -> None:
     file = shutil.copy(GOLDEN / "liar" / "r1.mcap", tmp_path)
     out = report(Path(file))
@@ -231,6 +232,7 @@ def test_without_a_truth_nothing_is_compared_with_one(tmp_path: Path) -> None:
     assert "truth, by the twin" not in shown
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_torn_recording_and_one_that_is_no_black_box_are_told_apart(tmp_path: Path) -> None:
     folder = Path(shutil.copytree(GOLDEN / "torn", tmp_path / "torn"))
     rewritten(GOLDEN / "three" / "r2.mcap", folder / "fleet.mcap", run={"kind": "fleet"})
@@ -326,6 +328,7 @@ def noted(source: Path, out: Path) -> Path:
     return out
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_black_boxes_tell_how_it_went(tmp_path: Path) -> None:
     for name in ("r1", "r2", "r3"):
         noted(GOLDEN / "three" / f"{name}.mcap", tmp_path / f"{name}.mcap")
@@ -335,12 +338,14 @@ def test_black_boxes_tell_how_it_went(tmp_path: Path) -> None:
     assert page[page.index('<section id="clock">') :].count("<svg") == 1
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_fleet_file_tells_it_too(tmp_path: Path) -> None:
     bare = overheard_run(GOLDEN / "three", tmp_path / "bare.mcap")
     page = report(noted(bare, tmp_path / "fleet.mcap")).read_text(encoding="utf-8")
     assert told(page) == told_of(tmp_path / "fleet.mcap")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_one_robots_notes_are_enough(tmp_path: Path) -> None:
     """As of a run of which one recording is older than notes."""
     noted(GOLDEN / "three" / "r1.mcap", tmp_path / "r1.mcap")
@@ -348,6 +353,7 @@ def test_one_robots_notes_are_enough(tmp_path: Path) -> None:
     assert 'id="clock"' in report(tmp_path).read_text(encoding="utf-8")
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_dive_by_the_systems_clock_says_nothing(tmp_path: Path) -> None:
     """Nor does a recording without notes: its sections are listed above."""
     source = GOLDEN / "three" / "r1.mcap"
@@ -426,6 +432,7 @@ def entry(record):
     )
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_report_shows_each_target(tmp_path: Path) -> None:
     page = report(Path(shutil.copy(TWO / "r3.mcap", tmp_path))).read_text()
     for target in WHERE_M:

@@ -58,6 +58,7 @@ def test_a_restart_is_seen_and_strangers_are_passed_over(tmp_path: Path) -> None
     assert nothing.timelines == []
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_the_page_draws_what_the_network_tells_and_says_what_it_does_not(file: Path) -> None:
     shown = report(file).read_text()
     for section in ("ends", "errors", "iterations", "valid", "agreement", "near", "posture", "links"):
@@ -71,6 +72,7 @@ def test_the_page_draws_what_the_network_tells_and_says_what_it_does_not(file: P
     assert shown.count("<svg") == 2 + 3 + 3 + 1 + 1 + 3
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_a_robot_without_a_black_box_is_drawn_from_the_fleet_file(file: Path, tmp_path: Path) -> None:
     for name in ("r1", "r3"):
         shutil.copy(GOLDEN / "three" / f"{name}.mcap", tmp_path)

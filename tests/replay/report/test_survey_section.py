@@ -14,6 +14,7 @@ from tests.replay.small_box import write_box
 GOLDEN = Path(__file__).parents[2] / "golden"
 
 
+@pytest.mark.usefixtures("undrawn")
 def test_it_has_what_the_robots_said_and_the_map_of_their_keyframes(tmp_path: Path) -> None:
     boxes = open_boxes(sorted((GOLDEN / "survey").glob("*.mcap")))
     found = surveyed(boxes[0].fleet, boxes)
