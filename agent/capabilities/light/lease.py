@@ -61,7 +61,7 @@ class Bound(NamedTuple):
 
     holder: str
     incarnation: int
-    lease: Lease  # as it came first: its aims and powers stay
+    lease: Lease  # as it came first, its aims and powers stay; granted: as soon as it was so once
     began_ns: int
     ends_ns: int
 
@@ -72,6 +72,7 @@ class Had(NamedTuple):
     holder: str
     began_ns: int
     ended_ns: int
+    granted: bool = True  # else it was given up while it was asked for, and the holder has had no turn
 
 
 class Party(NamedTuple):
@@ -129,7 +130,7 @@ def release(party: Party, now_ns: int) -> Party:
 
 def may_have(party: Party, name: str, left_s: float, now_ns: int) -> bool:
     """Whether it is a robot's turn for a lease of that length, by what it has had of the last minute."""
-    last_ns = next((each.ended_ns for each in reversed(party.had) if each.holder == name), None)
+    last_ns = next((each.ended_ns for each in reversed(party.had) if each.holder == name and each.granted), None)
     if last_ns is not None and now_ns - last_ns < PAUSE_NS:
         return False
     return _had_ns(party, (name,), now_ns) + round(min(left_s, MOST_HOLDS_S) * 1e9) <= MOST_NS
@@ -150,7 +151,7 @@ def _unbound(party: Party, now_ns: int) -> Party:
     """The lease that it obeyed is over."""
     bound = party.bound
     assert bound is not None
-    return _noted(party._replace(bound=None), Had(bound.holder, bound.began_ns, now_ns))
+    return _noted(party._replace(bound=None), Had(bound.holder, bound.began_ns, now_ns, bound.lease.granted))
 
 
 def hear(party: Party, said: Light, arrived_ns: int) -> Party:
@@ -162,7 +163,8 @@ def hear(party: Party, said: Light, arrived_ns: int) -> Party:
         if lease is not UNSET and (said.incarnation, lease.number) == (bound.incarnation, bound.lease.number):
             # What is left of it is counted from when that was said: the quickest word knows best.
             ends_ns = min(bound.ends_ns, arrived_ns + round(lease.left_s * 1e9))
-            return party._replace(bound=bound._replace(ends_ns=ends_ns))
+            known = replace(bound.lease, granted=bound.lease.granted or lease.granted)
+            return party._replace(bound=bound._replace(lease=known, ends_ns=ends_ns))
         party = _unbound(party, arrived_ns)
     return party if lease is UNSET else _offered(party, said, lease, arrived_ns)
 
@@ -182,14 +184,15 @@ def _offered(party: Party, said: Light, lease: Lease, arrived_ns: int) -> Party:
 
 
 def _counts(party: Party, holder: str, lease: Lease, now_ns: int) -> bool:
-    """Whether a neighbour can have this lease: it has had its share neither of the last minute, nor since this robot
-    began to wait for what it asks for."""
+    """Whether a neighbour can have this lease: it has had neither its share of the last minute, nor a turn since this
+    robot began to wait for what it asks for. What a neighbour gave up counts as share, for those who obeyed it had no
+    light, and as no turn: it goes on asking, and both would believe that the other has none."""
     if not lease.left_s or not may_have(party, holder, lease.left_s, now_ns):
         return False
     if (mine := party.mine) is None:
         return True
     waits_ns = mine.asked_ns - mine.lease.waited * TENTH_NS
-    return not any(each.holder == holder and each.ended_ns > waits_ns for each in party.had)
+    return not any(each.holder == holder and each.granted and each.ended_ns > waits_ns for each in party.had)
 
 
 def _before(lease: Lease, holder: str, other: Lease, others: str) -> bool:

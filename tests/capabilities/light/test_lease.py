@@ -27,6 +27,7 @@ from agent.capabilities.light.lease import (
 from agent.core.capability_messages import LampNow, Lease, LeaseAck, Light, light_fault
 from tests.capabilities.light import small_world
 from tests.capabilities.light.small_world import World, after, start, straight
+from tests.capabilities.light.three_that_want_light import turns
 
 GUARD_NS = 300_000_000
 LEASE = Lease(0, 5, 8.0, False, (1.0, 1.0, 0.1), (("r2", 1.0),))
@@ -193,6 +194,15 @@ def test_after_a_lease_its_holder_waits_behind_who_asked_meanwhile() -> None:
     asked = ask(over, LEASE, 3_000_000_000)
     assert hear(asked, light("r2", seq=2, lease=theirs), 3_200_000_000).phase == "asks"
     assert hear(asked, light("r3", seq=2, lease=theirs), 3_200_000_000).phase == "obeys"  # which had none
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_one_robot_at_a_time_has_the_light_and_each_its_share(seed: int) -> None:
+    """Words take up to 100 ms, a third of the guard. One that gives up what it asks for has had no turn: who believed
+    that would have the light beside it."""
+    found = turns(seed, 120, 2)
+    assert found.shared == 0
+    assert min(found.held.values()) * STEP_NS > 20e9
 
 
 # --- the proof ----------------------------------------------------------------------------------------------------
