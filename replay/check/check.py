@@ -134,12 +134,16 @@ def links(boxes: Iterable[BlackBox]) -> list[Link]:
 def as_said(payload: bytes, src: str) -> bytes:
     """A message without the signatures of its sender's own word; payloads that are none stay as they are."""
     try:
-        estimate = msgpack.unpackb(payload)
-        _, entries, samples, _, proposals = estimate["gossip"]  # in the order of messages.Gossip
+        message = msgpack.unpackb(payload)
+        if "frame" in message:  # capability_messages.Keyframe: the whole of it is one word
+            if message["frame"][0] == src:
+                message.pop("signature", None)
+            return bytes(msgpack.packb(message))
+        _, entries, samples, _, proposals = message["gossip"]  # in the order of messages.Gossip
         for said in (*entries, *samples, *proposals):
             if said[0] == src:  # its origin is first; of all parts its signature alone is bytes
                 said[:] = [b"" if isinstance(part, bytes) else part for part in said]
-        return bytes(msgpack.packb(estimate))
+        return bytes(msgpack.packb(message))
     except (ValueError, TypeError, LookupError, msgpack.UnpackException, RecursionError):
         return payload
 

@@ -15,10 +15,12 @@ from cryptography.hazmat.primitives.asymmetric.ed25519 import Ed25519PrivateKey
 from msgspec import UNSET
 from msgspec.structs import replace
 
+from agent.core.capability_messages import Keyframe
 from agent.core.codec import decode, encode
 from agent.core.config import Access, Fleet, dump
 from agent.core.messages import Entry, Estimate
-from agent.core.step_io import Heard, Inputs, Outputs
+from agent.core.step_io import Heard, Inputs, Outputs, Said
+from agent.core.topics import KEYFRAME
 from agent.core.trust import entry_bytes, verify_signature
 from agent.demo.demo import demo_fleet
 from agent.ground.new_fleet import make_keys
@@ -29,6 +31,7 @@ from replay.check.check import as_said, check
 from replay.files.channels import STEP_IN, STEP_OUT
 from replay.files.log import LogWriter, info, read
 from replay.recorder import BlackBoxWriter
+from tests.capabilities.survey.frames import drawn_frames
 from tests.network.scripted_agent import CALIBRATION, Motors, Script
 from tests.process.said import FOREIGN, entry, proposal, said, sample
 
@@ -203,3 +206,15 @@ def test_a_forged_word_under_a_senders_name_is_not_one_that_it_said() -> None:
         assert as_said(encode(heard), "r1") != encode(logged)
     for garbage in (b"", b"\xc1", b"\x81\xa6gossip\x95\x00\x01\x02\x03\x04", encode(logged)[:-3]):
         assert as_said(garbage, "r1") == garbage
+
+
+def test_so_it_is_with_a_keyframe_and_one_that_is_passed_on_keeps_its_signature() -> None:
+    frame = drawn_frames(3)[0]
+    logged = Keyframe(fleet="survey", src="r1", dst="r2", incarnation=0, seq=1, sent_ns=7, frame=frame)
+    outgoing = Said(topic=KEYFRAME.name, to="r2", payload=encode(logged))
+    sent = signing("r1", Ed25519PrivateKey.generate())(outgoing).payload
+    assert frame.origin == "r1" and sent != encode(logged)
+    assert as_said(sent, "r1") == as_said(encode(logged), "r1") == encode(logged)
+    forged = replace(decode(sent, Keyframe, KEYFRAME.limit), frame=replace(frame, number=9))
+    assert as_said(encode(forged), "r1") != encode(logged)
+    assert as_said(sent, "r2") == sent, "r2 passes it on as it came"
