@@ -30,7 +30,8 @@ from replay.files.info import info, suspecting
 from replay.files.log import read
 from replay.files.mcap_file import parts
 from replay.report.lead import truth_at
-from replay.report.timeline import Belief, Run, open_run, said_in
+from replay.report.timeline import Belief, Run, open_run
+from replay.story import said_in
 
 # --- film ---
 # The recorded pictures of one robot as a film: what its camera saw, where it saw the target, when, and with which

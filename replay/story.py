@@ -11,10 +11,11 @@ import json
 import math
 import textwrap
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
-from itertools import combinations, islice
+from itertools import chain, combinations, islice
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from agent.core import topics
 from agent.core.codec import READABLE, Refusal, decode
@@ -133,6 +134,26 @@ def _states(path: Path) -> Iterator[State]:
             continue
         if state is not None:
             yield state
+
+
+class Said(NamedTuple):
+    """A message of the network as a recording has it."""
+
+    log_time_ns: int
+    topic: topics.Topic
+    chunks: Mapping[str, str]
+    message: Any
+
+
+def said_in(paths: Iterable[Path], rows: Collection[topics.Topic] = topics.TOPICS) -> Iterator[Said]:
+    """What was said on these rows, in the order of the files; what does not decode is passed over."""
+    for record in chain.from_iterable(map(read, paths)):
+        row = network_topic(record.channel)
+        if row is None or row[0] not in rows:
+            continue
+        with suppress(Refusal):
+            message = in_own_name(*row, record.data, READABLE)
+            yield Said(record.log_time_ns, *row, message)
 
 
 def _tellers(state: State) -> list[str]:

@@ -204,16 +204,21 @@ def _found(target: str, swims: bool, has_size: bool, of: Sequence[End], by_demo:
     )
 
 
+LEFT_NS = 5_000_000_000  # who said nothing of the survey for so long before its end has left it
+
+
 def _survey(run: Run, found: Surveyed | None) -> Survey | None:
     if run.fleet.coverage is None or found is None:
         return None
     lasts = [rows[-1] for rows in found.known.values() if rows]
     if not lasts:
         return None
+    newest_ns = max(last.t_ns for last in lasts)
+    lasts = [last for last in lasts if last.t_ns > newest_ns - LEFT_NS]
     return Survey(
         share=min(last.share for last in lasts),
         wanted=run.fleet.coverage.share,
-        keyframes=len(found.frames),
+        keyframes=max(len(found.frames), *(last.held for last in lasts)),
         alike=len({last.digest for last in lasts}) == 1,
     )
 

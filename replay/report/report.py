@@ -43,7 +43,7 @@ def page_of(path: Path) -> Path:
 
 def _report(path: Path, out: Path | None, depth: MeasureDepth | None) -> Path:
     run = open_run(path)
-    survey = surveyed(run.fleet, run.boxes)
+    survey = surveyed(run)
     reasons = run.summary["reasons"] if run.summary else []
     page = jinja2.Environment(autoescape=True).from_string(PAGE)
     out = out or page_of(path)

@@ -11,8 +11,7 @@ import itertools
 import json
 from array import array
 from collections import Counter, defaultdict
-from collections.abc import Collection, Container, Iterable, Iterator, Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Container, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -22,14 +21,13 @@ from msgspec import UNSET
 from numpy.typing import NDArray
 
 from agent.capabilities.survey.coverage_map import CoverageMap, grid_of
-from agent.core.capability_messages import Frame, holds
+from agent.core.capability_messages import Claim, Frame, Keyframe, holds
 from agent.core.codec import READABLE, Refusal, decode
 from agent.core.config import ConfigError, Fleet, check_depth, convert, read_text
 from agent.core.messages import Answer, Estimate, LogLine, State, Symmetric, Vector
-from agent.core.robot_view import in_own_name
-from agent.core.step_io import Grant, Inputs, Outputs, Sighting, SweepOutcome
-from agent.core.topics import CLAIM, KEYFRAME, TOPICS, Topic
-from agent.core.trust import common
+from agent.core.step_io import Grant, Heard, Inputs, Outputs, Sighting, SweepOutcome
+from agent.core.topics import CLAIM, KEYFRAME
+from agent.core.trust import common, keyframe_bytes, verify_signature
 from agent.robot.fleet_reader import load_fleet
 from replay.check.check import Link, links
 from replay.check.reexecute import (
@@ -41,11 +39,12 @@ from replay.check.reexecute import (
     other_kind,
     schema_of,
 )
-from replay.files.channels import CLOCK, LINES, STEP_OUT, network_topic
+from replay.files.channels import CLOCK, LINES, STEP_IN, STEP_OUT
 from replay.files.info import Moment, in_dive, moment
 from replay.files.log import parts, read
 from replay.files.mcap_file import left_out
 from replay.files.recover import black_boxes, fleet_recordings, recordings
+from replay.story import said_in
 
 # --- one robot, by its black box ---
 # What a run's black boxes tell, in the shape in which figures need it: series over time, one timeline for each robot
@@ -342,26 +341,6 @@ def of_one_fleet(opened: Sequence[BlackBox | FleetFile]) -> None:
             raise ConfigError(f"{each.path}: {what} as {opened[0].path}; move one away, or give one of them alone")
 
 
-class Said(NamedTuple):
-    """A message of the network as a recording has it."""
-
-    log_time_ns: int
-    topic: Topic
-    chunks: Mapping[str, str]
-    message: Any
-
-
-def said_in(paths: Iterable[Path], rows: Collection[Topic] = TOPICS) -> Iterator[Said]:
-    """What was said on these rows, in the order of the files; what does not decode is passed over."""
-    for record in itertools.chain.from_iterable(map(read, paths)):
-        row = network_topic(record.channel)
-        if row is None or row[0] not in rows:
-            continue
-        with suppress(Refusal):
-            message = in_own_name(*row, record.data, READABLE)
-            yield Said(record.log_time_ns, *row, message)
-
-
 def overheard(file: FleetFile, start_ns: int | None = None, known: Container[str] = ()) -> Overheard:
     """The robots of a fleet file by name, those in `known` left out. Times are by the robots' own clocks, since
     `start_ns`, or since the first state of any of them; lines of a log may be older. What does not decode is passed
@@ -544,7 +523,7 @@ def _truths(told: _Summary | None, fleet: Fleet) -> dict[str, Vector]:
 
 
 # --- a survey ---
-# What the robots of a survey said of it, from their black boxes: how much each knew when, and what they measured.
+# What the robots of a survey said of it: how much each knew when, and what they measured.
 
 
 class Known(NamedTuple):
@@ -558,36 +537,58 @@ class Known(NamedTuple):
 
 class Surveyed(NamedTuple):
     known: dict[str, list[Known]]  # by robot
-    frames: list[tuple[int, Frame]]  # of robots that left a black box, by when they were first told
+    frames: list[tuple[int, Frame]]  # that were told, by when they first were
     paths: dict[str, list[tuple[float, float]]]  # where each believed to be, m, world frame; empty: it is moored
     all: CoverageMap  # of all frames
 
 
-def surveyed(fleet: Fleet, boxes: Sequence[BlackBox]) -> Surveyed | None:
-    """None: of a fleet without [coverage], or without black boxes."""
-    if fleet.coverage is None or not boxes:
+def surveyed(run: Run) -> Surveyed | None:
+    """None: of a fleet without [coverage], or whose robots said nothing of a survey."""
+    if run.fleet.coverage is None:
         return None
-    known: dict[str, list[Known]] = {box.robot: [] for box in boxes}
-    paths: dict[str, list[tuple[float, float]]] = {box.robot: [] for box in boxes}
+    known: dict[str, list[Known]] = {timeline.robot: [] for timeline in run.robots}
     frames: dict[tuple[str, int, int], tuple[int, Frame]] = {}
-    for box in boxes:
-        for record in read(box.path):
-            if record.channel != STEP_OUT.name:
-                continue
-            outputs = decode(record.data, Outputs, STEP_BYTES)
-            for claim in itertools.islice(outputs.said(CLAIM), 1):
-                _, held = holds(claim)
-                known[box.robot].append(Known(claim.sent_ns, claim.share, held, claim.digest))
-            for said in outputs.said(KEYFRAME):
-                frame = said.frame
-                if frame.origin == box.robot:
-                    frames.setdefault((frame.origin, frame.incarnation, frame.number), (said.sent_ns, frame))
-            at = None if outputs.state is None else outputs.state.whereabouts
-            if at:
-                paths[box.robot].append((at.x_m, at.y_m))
-    together = CoverageMap(grid_of(fleet))
+    for robot, said in _said_of_survey(run):
+        if isinstance(said, Keyframe):
+            frame = said.frame
+            frames.setdefault((frame.origin, frame.incarnation, frame.number), (said.sent_ns, frame))
+        elif said.sent_ns != (rows[-1].t_ns if (rows := known.setdefault(robot, [])) else None):  # to each neighbour
+            rows.append(Known(said.sent_ns, said.share, holds(said)[1], said.digest))
+    if not frames and not any(known.values()):
+        return None
+    ats = {each.robot: [state.whereabouts for _, state in each.states] for each in run.robots}
+    paths = {robot: [(at.x_m, at.y_m) for at in found if at] for robot, found in ats.items()}
+    together = CoverageMap(grid_of(run.fleet))
     told = sorted(frames.values(), key=lambda each: each[0])
     for _, frame in told:
         together.add(frame)
     together.let_go()
     return Surveyed(known, told, paths, together)
+
+
+def _said_of_survey(run: Run) -> Iterator[tuple[str, Claim | Keyframe]]:
+    """By whom. What a robot's own black box lacks is in the fleet file, or in what another robot heard from it."""
+    for box in run.boxes:
+        keys: Mapping[str, bytes] = {}
+        for record in read(box.path):
+            if record.channel == STEP_OUT.name:
+                outputs = decode(record.data, Outputs, STEP_BYTES)
+                yield from ((box.robot, said) for row in (CLAIM, KEYFRAME) for said in outputs.said(row))
+            elif record.channel == STEP_IN.name:
+                inputs = decode(record.data, Inputs, STEP_BYTES)
+                keys = keys if inputs.keys is UNSET else inputs.keys
+                heard = (each for each in inputs.heard if each.topic == KEYFRAME.name)
+                yield from ((each.src, said) for each in heard if (said := _own_keyframe(each, keys)) is not None)
+    rows = said_in(run.fleet_file.paths, (CLAIM, KEYFRAME)) if run.fleet_file else ()
+    yield from ((said.chunks[said.topic.writer], said.message) for said in rows)
+
+
+def _own_keyframe(heard: Heard, keys: Mapping[str, bytes]) -> Keyframe | None:
+    """None: it does not decode, or its origin did not say it."""
+    try:
+        said = decode(heard.payload, Keyframe, KEYFRAME.limit, READABLE)
+    except Refusal:
+        return None
+    key, signed = keys.get(heard.src, b""), keyframe_bytes(said.fleet, said.frame)
+    genuine = not keys or verify_signature(key, said.signature or b"", signed)
+    return said if genuine and said.frame.origin == heard.src else None

@@ -25,7 +25,8 @@ from agent.core.topics import IMAGE, LINK, STATE, Topic, target_chunk
 from agent.ground.bridges.outward import WORLD, Foreign
 from agent.process.transport import told_first
 from replay.files.info import suspecting
-from replay.report.timeline import FleetFile, open_fleet_file, said_in
+from replay.report.timeline import FleetFile, open_fleet_file
+from replay.story import said_in
 
 # --- keys and tokens of rmw_zenoh ---
 # Keys and tokens by which rmw_zenoh finds topics, and what goes along with each message. Pure.

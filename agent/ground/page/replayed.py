@@ -243,7 +243,7 @@ def came_of(path: Path) -> str:
     try:
         with suspecting(path):
             run = open_run(path)
-            found = lead(run, surveyed(run.fleet, run.boxes))
+            found = lead(run, surveyed(run))
     except ConfigError as error:
         return text({"k": CAME, "said": [["bad", f"What came of it cannot be told: {error}"]], "looks": [], "ends": []})
     looks = [(look.caption, str(look.svg)) for look in found.looks]

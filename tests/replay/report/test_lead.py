@@ -32,7 +32,7 @@ def fleet() -> Fleet:
 
 
 def said(run: Run) -> str:
-    return plain(lead(run, surveyed(run.fleet, run.boxes)).said)
+    return plain(lead(run, surveyed(run)).said)
 
 
 def test_nobody_knows_of_it_before_the_first_has_seen_it_but_those_who_are_told() -> None:
@@ -92,7 +92,7 @@ def test_what_a_robot_is_built_without_is_in_its_log_alone() -> None:
 
 def test_a_survey_has_its_own_rows_and_its_floor() -> None:
     run = open_run(GOLDEN / "survey")
-    found = surveyed(run.fleet, run.boxes)
+    found = surveyed(run)
     shown = lead(run, found)
     assert shown.ends.rows[0][:2] == ["robot", "keyframes of its own"]
     assert 'class="known"' in shown.looks[0].svg or 'class="some"' in shown.looks[0].svg

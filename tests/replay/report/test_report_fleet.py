@@ -17,7 +17,8 @@ from replay.files.mcap_file import Part
 from replay.files.recover import auto_recovered
 from replay.report.lead import lead
 from replay.report.report import report
-from replay.report.timeline import open_fleet_file, open_run, overheard, said_in, timelines
+from replay.report.timeline import open_fleet_file, open_run, overheard, timelines
+from replay.story import said_in
 from tests.places import GOLDEN
 from tests.replay.overheard_run import overheard_run
 from tests.replay.page_tables import table
