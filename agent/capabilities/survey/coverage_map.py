@@ -59,12 +59,13 @@ class Grid(NamedTuple):
 
 
 def grid_of(fleet: Fleet) -> Grid:
-    """Of a fleet with [coverage]."""
+    """Of a fleet with [coverage]. A rest of less than half a cell counts with the cell before it: of its own it would be
+    a layer beyond the wall, or so thin that nothing in it gets known."""
     assert fleet.coverage is not None
     length, breadth, _ = fleet.tank.size_m
     size_m = length, breadth, fleet.tank.surface_m
     cell_m = fleet.coverage.cell_mm * 1e-3
-    x, y, z = (max(-_floor(-side / cell_m), 1) for side in size_m)
+    x, y, z = (max(int(side / cell_m + 0.5), 1) for side in size_m)
     faces = frozenset(number for face in fleet.coverage.faces for number in _face(face, (x, y, z)))
     return Grid(cell_m, (x, y, z), size_m, goal_information(fleet.coverage), faces)
 

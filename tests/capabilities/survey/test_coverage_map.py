@@ -20,6 +20,7 @@ from agent.capabilities.survey.coverage_map import (
     block_slopes,
     crossed,
     dose,
+    grid_of,
     information,
     is_free,
     is_inner,
@@ -319,3 +320,19 @@ def test_any_order_gives_the_same_counts_and_what_is_taken_back_is_gone():
     a, b = map_of([*FREE_SPACE_FRAMES[:8], other]), map_of([other, *FREE_SPACE_FRAMES[:8]])
     assert (a.hits, a.passes, a.solid()) == (b.hits, b.passes, b.solid())
     assert map_of([FREE_SPACE_FRAMES[0], other]).passes in (passed(FREE_SPACE_FRAMES[0], GRID), passed(other, GRID))
+
+
+@pytest.mark.parametrize(
+    ("side_m", "cell_mm", "cells"),
+    [(1.8, 60.0, 30), (1.12, 40.0, 28), (2.7, 30.0, 90), (2.41, 40.0, 60), (2.42, 40.0, 61)],
+)
+def test_no_layer_of_cells_is_beyond_a_wall(side_m: float, cell_mm: float, cells: int) -> None:
+    """1.8 m of 60 mm are thirty cells, though 1.8 / 0.06 is more in floats; and 1 cm of water is no layer."""
+    fleet = replace(
+        FLEET,
+        tank=replace(FLEET.tank, size_m=(2.0, side_m, 0.6)),
+        coverage=replace(FLEET.coverage, cell_mm=cell_mm, faces=("y1",)),
+    )
+    grid = grid_of(fleet)
+    assert grid.shape[1] == cells
+    assert grid.number(1.0, side_m - 1e-6, 0.3) in grid.wanted
