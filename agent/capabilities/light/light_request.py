@@ -52,9 +52,9 @@ class Requests(Revertible):
         near = {name: at for name, at in there.items() if name in words and (not swims or aim.at(at_m, *at)[1])}
         places_m = {name: aim.place_m(*at) for name, at in near.items()}
         lamps = {name: words[name].said.lamp for name in places_m}
-        if self._own.has:
+        if self._own.burns:
             places_m[self.name], lamps[self.name] = aim.place_m(situation.pose, level), self._own.now
-        return choose(self.name if self._own.has else None, scene, places_m, lamps, self._lighting)
+        return choose(self.name if self._own.burns else None, scene, places_m, lamps, self._lighting)
 
     def may_ask(self, situation: Situation) -> bool:
         """Whether nobody needs its own light now: a neighbour whose camera is at landmarks would see none."""
@@ -65,7 +65,7 @@ class Requests(Revertible):
     def lease(self, at_m: Vector | None, names: tuple[str, ...] | None, waited_ns: int, holds_ns: int) -> Lease:
         """The lease to ask for; names: whose lamps, None: the own one's."""
         waited = min(waited_ns // 100_000_000, MOST_WAITED)
-        lamps: tuple[tuple[str, float], ...] = ((self.name, 1.0),) if self._own.has else ()
+        lamps: tuple[tuple[str, float], ...] = ((self.name, 1.0),) if self._own.burns else ()
         if names is not None:
             lamps = tuple((name, 1.0) for name in names)
         return Lease(0, waited, min(holds_ns * 1e-9, MOST_HOLDS_S), False, at_m, lamps)
@@ -137,14 +137,15 @@ class LightSearch(Revertible):
         self._looks_ns: int | None = None  # since when, by the own lamp
         self.at_m: Vector | None = None  # that the own lease is about
 
-    def look(self, situation: Situation) -> bool:
-        """Whether the own lamp has shown by now what it can. Others' light in between counts as well."""
+    def look(self, situation: Situation, burns: bool) -> bool:
+        """Whether the own lamp has shown by now what it can; burns: it can burn. Others' light in between counts as
+        well."""
         camera, lit_ns = situation.camera, situation.light.from_ns
         if situation.search is not None:
             return False
         if self._looks_ns is None and lit_ns is not None and camera.goal_us is not None:
             self._looks_ns = max(lit_ns, camera.steady_from_ns)
-        return not self._robot.lamp or (self._looks_ns is not None and situation.now_ns - self._looks_ns > OWN_LOOK_NS)
+        return not burns or (self._looks_ns is not None and situation.now_ns - self._looks_ns > OWN_LOOK_NS)
 
     def place(self, pose: Pose, level: Attitude) -> Vector | None:
         """The one whose turn it is, no farther than the tank's walls; None: that is too near, or out of the gimbal's
@@ -170,12 +171,12 @@ class LightSearch(Revertible):
         x, y, z = (at + far_m * part for at, part in zip(eye.position_m, way, strict=True))
         return x, y, z
 
-    def worth(self, choice: Choice | None, target: Target) -> bool:
-        """Whether those lamps show what the own lamp does not."""
+    def worth(self, choice: Choice | None, target: Target, burns: bool) -> bool:
+        """Whether those lamps show what the own lamp does not; burns: it can burn."""
         least = SHOWS if target.radius_m else SHOWS_SIDE
         if choice is None or choice.contrast < least or choice.lamps == (self._name,):
             return False
-        return not self._robot.lamp or choice.own_contrast < least
+        return not burns or choice.own_contrast < least
 
     def shown(self, granted_ns: int, situation: Situation) -> bool:
         """Whether a target at the place would have been seen by now, by the light that was granted then."""

@@ -206,11 +206,13 @@ class Light(Capability, Illumination):
         if not self._requests.may_ask(situation):
             return
         if searches:
-            if (situation.own is not None and not situation.own.under_way) or not search.look(situation):
+            if (situation.own is not None and not situation.own.under_way) or not search.look(
+                situation, self.own.burns
+            ):
                 return
             at_m = search.place(situation.pose, level)
         choice = None if at_m is None else self._requests.choice(at_m, level, situation)
-        if searches and not search.worth(choice, ball):
+        if searches and not search.worth(choice, ball, self.own.burns):
             search.advance()
             return
         search.have_lit(at_m if believed_m is None else None)

@@ -54,7 +54,14 @@ class OwnLamp(Revertible):
         self._ordered: OrderedLight | None = None  # by an operator; None: it burns as light is lent
         self._bound_ns = 0  # since when it obeys this lease
         self._comes = False  # it is to burn for it, as soon as its robot rests
+        self._cannot: Why = ""  # burn at all
         self.now = LampNow()
+
+    @property
+    def burns(self) -> bool:
+        """It can light what its own robot looks at; else that needs others' light, as one does that has no lamp."""
+        dark = self._ordered is not None and not self._ordered.light
+        return self.has and not dark and self._cannot not in ("battery", "heat")
 
     @property
     def by_own_lease(self) -> bool:
@@ -160,7 +167,7 @@ class OwnLamp(Revertible):
         """As it is told."""
         lamp, telemetry = self.lamp, self._attitude.newest
         used = load(lamp, telemetry)
-        why = cannot(self.has, lamp, telemetry, self._attitude.silent(now_ns, 0))
+        why = self._cannot = cannot(self.has, lamp, telemetry, self._attitude.silent(now_ns, 0))
         if not why and used >= LENDS_BELOW:
             why = "heat" if lamp.warm >= LENDS_BELOW else "battery"
         may_stop = own is not None and own.under_way  # it holds still for a robot that asks for its light

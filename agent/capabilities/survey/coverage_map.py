@@ -59,7 +59,7 @@ class Grid(NamedTuple):
 
 
 def grid_of(fleet: Fleet) -> Grid:
-    """Of a fleet with [coverage]. A rest of less than half a cell counts with the cell before it: of its own it would be
+    """Of a fleet with [coverage]. A rest of less than half a cell counts with the cell before it: by itself it would be
     a layer beyond the wall, or so thin that nothing in it gets known."""
     assert fleet.coverage is not None
     length, breadth, _ = fleet.tank.size_m

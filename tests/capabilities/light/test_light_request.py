@@ -16,6 +16,7 @@ from agent.core.capability_messages import Lease
 from agent.core.config import Target
 from agent.core.ranging.pointing import SEARCH_DEG, SearchPlan
 from agent.core.step_io import Sighting
+from agent.core.verbs import Burn
 from agent.robot.target_search import TargetSearch
 from tests.capabilities.light.lit_swarm import STEP_NS, LitScript, LitSwarm, lit_fleet
 from tests.core.situations import situation
@@ -66,7 +67,7 @@ def test_places_are_ahead_and_beside_that_then_farther_out_and_none_outside_the_
     ],
 )
 def test_a_place_counts_that_others_lamps_show_and_the_own_does_not(choice: Choice | None, counts: bool) -> None:
-    assert LightSearch(FLEET, "r1", CALIBRATION.camera).worth(choice, FLEET.target["ball"]) is counts
+    assert LightSearch(FLEET, "r1", CALIBRATION.camera).worth(choice, FLEET.target["ball"], True) is counts
 
 
 def test_what_was_glimpsed_by_anothers_light_is_the_next_place_once() -> None:
@@ -120,9 +121,11 @@ def others(own, scene, lamps, lighting) -> Choice:
     return FAR._replace(lamps=free) if free else NEAR._replace(lamps=(own,))
 
 
-def dark_swarm(rule) -> LitSwarm:
+def dark_swarm(rule, ordered_dark: str = "") -> LitSwarm:
     with patch("tests.capabilities.light.lit_swarm.LitScript", FromAside):
         swarm = LitSwarm()
+    if ordered_dark:
+        assert swarm.robots[ordered_dark].agent.capabilities["light"].carry_out(Burn(light=0.0))
     with patch("tests.capabilities.light.lit_swarm.lend_all", rule):
         swarm.run(30.0)
     return swarm
@@ -159,6 +162,12 @@ def test_robots_have_places_lit_in_turn_each_for_as_long_as_a_look_takes() -> No
     assert all(one[0] != other[0] for one, other in pairwise(looks))
 
 
+def test_a_robot_whose_lamp_is_ordered_dark_borrows_as_one_without() -> None:
+    swarm = dark_swarm(others, "r1")
+    own = [swept for swept in swarm.kept if swept.robot == "r1"]
+    assert own and all("r1" not in swept.lamps and set(swept.burned) & {"r2", "r3"} for swept in own)
+
+
 def test_where_nobody_lends_it_is_not_found() -> None:
     swarm = dark_swarm(lambda own, scene, lamps, lighting: NEAR._replace(lamps=(own,)))
     assert not swarm.kept
@@ -167,13 +176,13 @@ def test_where_nobody_lends_it_is_not_found() -> None:
 def test_a_creature_has_to_show_by_more_light_than_a_ball() -> None:
     fish, search = Target(detector="creature", length_m=0.15), LightSearch(FLEET, "r1", CALIBRATION.camera)
     faint = Choice(("r2",), 12.0, 8.0, 20.0, True, 0.5 * (SHOWS + SHOWS_SIDE), 0.05)
-    assert search.worth(faint, FLEET.target["ball"]) and not search.worth(faint, fish)
-    assert search.worth(faint._replace(contrast=1.1 * SHOWS_SIDE), fish)
+    assert search.worth(faint, FLEET.target["ball"], True) and not search.worth(faint, fish, True)
+    assert search.worth(faint._replace(contrast=1.1 * SHOWS_SIDE), fish, True)
 
 
 def test_a_robot_with_a_search_pattern_of_its_own_asks_for_no_light() -> None:
     search, here = LightSearch(FLEET, "r1", CALIBRATION.camera), target_search()
     here.act(at(here, 0), False)
-    search.look(at(here, 0))
-    assert search.look(at(here, 10**10))
-    assert not search.look(replace(at(here, 10**10), search=SearchPlan("ball", (), ((0.0, 0.0),))))
+    assert not search.look(at(here, 0), True) and search.look(at(here, 0), False)
+    assert search.look(at(here, 10**10), True)
+    assert not search.look(replace(at(here, 10**10), search=SearchPlan("ball", (), ((0.0, 0.0),))), True)
