@@ -198,6 +198,7 @@ def explain(
         (there,) = auto_recovered([run], complain)
         rows: list[tuple[str, ...]] = sigma_parts(there)
     else:
+        refuse_options("explain priorities", {"RUN": run}, ())
         shown = Table("resource", "who", "in a sweep of", "while another has the light", "takes it when", box=SIMPLE)
         rows = [*table()]
     for row in rows:

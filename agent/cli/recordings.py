@@ -92,6 +92,7 @@ def replay_explain(
 
     (there,) = auto_recovered([file], complain)
     if track:
+        refuse_options("replay explain --track", {"--at": at}, ())
         from replay.report.creature_track import causes_table, track_causes
 
         typer.echo(causes_table(track_causes(there)))

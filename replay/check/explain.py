@@ -156,7 +156,7 @@ def _parse(at: str | None) -> _At:
         return _At(step=int(match[1]))
     if match := re.fullmatch(r"(\d+(?:\.\d+)?)s", at):
         return _At(seconds=float(match[1]))
-    if at.isdigit():
+    if at.isdecimal():
         return _At(iteration=int(at))
     raise ConfigError(f"--at {at}: write an iteration (16), a time (12.5s) or a step (step:812)")
 

@@ -383,9 +383,12 @@ def track_causes(folder: Path) -> list[Cause]:
             f"{folder}: {CREATURES} or {PATHS} is missing; give the folder of a demo, whose twin left them"
         )
     ways = true_ways(folder)
+    unknown = ", ".join(sorted({box.robot for box in boxes} - ways.keys()))
+    if unknown:
+        raise ConfigError(f"{folder / PATHS}: has nothing of {unknown}; give the folder as the twin left it")
     said = [bearing for box in boxes for bearing in _said(box, target, track.truth, ways[box.robot])]
     if not said:
-        raise ConfigError(f"{folder}: no robot said a bearing of {target}")
+        raise ConfigError(f"{folder}: no robot said a bearing of {target} in the time of which {CREATURES} tells")
     moves, first_ns = dynamics(fleet.target[target]), min(bearing.exposed_ns for bearing in said)
     seen_ns = first_ns if track.first_ns is None else track.first_ns
     moments = sorted({held.t_ns for rows in track.held.values() for held in rows if held.t_ns > first_ns})

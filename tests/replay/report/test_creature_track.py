@@ -154,6 +154,10 @@ def test_each_cause_of_a_tracks_error_is_worth_what_was_done_to_it(tmp_path: Pat
     turned = math.radians(YAW_DEG) / (PICTURE_PX / at_lens_position(CALIBRATION.camera, 300).f_px)
     assert by_yaw > 15.0 and by_yaw / by_picture == pytest.approx(turned, rel=0.35), "a body turns farther off"
     assert len(causes_table(track_causes(tmp_path)).splitlines()) == 2 + len(rms_mm)
+    head, *_ = (tmp_path / "paths.csv").read_text().splitlines()
+    (tmp_path / "paths.csv").write_text(head + "\n")
+    with pytest.raises(ConfigError, match=r"paths\.csv: has nothing of r1"):
+        track_causes(tmp_path)
     (tmp_path / "paths.csv").unlink()
     with pytest.raises(ConfigError, match="give the folder of a demo"):
         track_causes(tmp_path)
