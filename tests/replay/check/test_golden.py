@@ -127,7 +127,7 @@ def test_the_new_ones_show_what_they_are_kept_for() -> None:
     assert "view 1000002 was spoiled: its own lamp changed" in lines["dark_survey"]
     assert any(text.startswith("keyframe 1") for text in lines["dark_survey"])
     assert any(text.startswith("searches for 'ball' by the light of") for text in lines["dark"])
-    assert lines["spoiled"].count("sweep rejected: spoiled: the lamp of r2 changed") == 2
+    assert "sweep rejected: spoiled: the lamp of r2 changed" in lines["spoiled"]
     assert {explain.epoch.moving for explain in explains("carried")} == {False, True}
     assert set(VERBS) <= {order.verb for order in (*orders.ORDERS, *swim.ORDERS)}
     strange = states(GOLDEN / "strange" / "r1.mcap")[-1]
