@@ -83,12 +83,10 @@ class EventRing(Revertible):
     flow of its frame, cost one pass.
     """
 
-    def __init__(
-        self, begun: Belief, hull: Hull, drift: Drift, ring_ns: int = RING_NS, within: Basin | None = None
-    ) -> None:
-        """begun: the belief at the first fix; what happened before it does not count. ring_ns: how late one may be.
-        within: the walls that it does not get beyond, if they are known."""
-        self._hull, self._drift, self._ring_ns, self._within = hull, drift, ring_ns, within
+    def __init__(self, begun: Belief, hull: Hull, drift: Drift, within: Basin | None = None) -> None:
+        """begun: the belief at the first fix; what happened before it does not count. within: the walls that it does
+        not get beyond, if they are known."""
+        self._hull, self._drift, self._within = hull, drift, within
         self._settled: deque[Belief] = deque([begun])  # nothing comes before the newest of these any more
         self._events: list[Event] = []
         self._beliefs: list[Belief] = []  # after each of the first events; those of the others are due
@@ -124,13 +122,13 @@ class EventRing(Revertible):
 
     def advance(self, now_ns: int) -> None:
         """Let go of what is so old that nothing may come before it."""
-        n = bisect_right(self._events, now_ns - self._ring_ns, key=_time)
+        n = bisect_right(self._events, now_ns - RING_NS, key=_time)
         self._after(n)
         self._settled.extend(self._beliefs[:n])
         del self._events[:n], self._beliefs[:n]
-        if not self._events and self._settled[-1].t_ns < now_ns - 2 * self._ring_ns:
+        if not self._events and self._settled[-1].t_ns < now_ns - 2 * RING_NS:
             # Nothing happens any more: each answer would go all the way from the last event, longer and longer.
-            self._settled.append(self._predict(self._settled[-1], now_ns - self._ring_ns))
+            self._settled.append(self._predict(self._settled[-1], now_ns - RING_NS))
         while len(self._settled) > 1 and self._settled[1].t_ns <= now_ns - KEEP_NS:
             self._settled.popleft()
 
@@ -209,7 +207,7 @@ class Smoother(Revertible):
     def place(self, seen: Seen, before: Belief) -> tuple[Vector, Symmetric] | None:
         """The target's place and its covariance, m and m^2, by all that happened until now. before: the filter's belief
         just before the sighting. None: nothing better is known."""
-        ring = EventRing(before, self._hull, Drift(), within=self._within)
+        ring = EventRing(before, self._hull, Drift(), self._within)
         for each in sorted((*self._log, sighting(seen.t_ns, seen.offset_m, seen.random_m2))):
             if each.t_ns > before.t_ns:
                 ring.add(each)

@@ -279,7 +279,7 @@ class Localizer(Revertible):
         if self._ring is None or before is None or adrift(before):
             begun = begin(frame.t_ns, pose, found.fluctuates, found.stays, self._gyro)
             begun = begun if before is None else learnt(before, begun)
-            self._ring = EventRing(begun, self.hull, Drift(), within=self._basin)
+            self._ring = EventRing(begun, self.hull, Drift(), self._basin)
             self._asked = STILL
             self._smoother.reset()
         elif not self._tell(fix(frame.t_ns, pose, found.fluctuates, found.stays, found.tags - found.odd)):

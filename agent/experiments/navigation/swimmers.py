@@ -366,7 +366,6 @@ class Eyes:
         self.hide: tuple[str, ...] = ()  # robots that the ball may be behind
         self.pillars: tuple[Pillar, ...] = ()  # what else it may be behind
         self.covered = False  # it sees nothing at all
-        self.sees_tags: Callable[[int], bool] = lambda now_ns: True
         self._plan: SweepPlan | None = None
         self._index = 0
         self.coming: deque[Frame] = deque()
@@ -392,9 +391,7 @@ class Eyes:
         tags, flow = self.tank.expose(pose, t_ns)
         before = [*self.pillars, *(ring(bodies.pose(other)) for other in self.hide)]
         sighting = None if self.ball is None else self.ball.sight(pose, t_ns, before=before)
-        self.coming.append(
-            Frame(step + LATE_STEPS, tags if sees_tags and self.sees_tags(t_ns) else None, flow, sighting)
-        )
+        self.coming.append(Frame(step + LATE_STEPS, tags if sees_tags else None, flow, sighting))
 
     def arrived(self, step: int) -> list[Frame]:
         found = []
