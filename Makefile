@@ -5,16 +5,18 @@ BIN := .venv/bin
 # Tests start hundreds of processes: they read byte code, whatever the shell says.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv run test linked collected suite firmware docs outside fuzz lint format clean
+.PHONY: venv run test tested linked collected suite firmware docs outside fuzz lint format clean
 
 venv: .venv/ready
 run: linked
 	$(BIN)/aucamp demo --speed max
 
-# One worker has tests/network, which mostly wait (tests/conftest.py): there is time for lint beside it.
+# Lint goes on beside all of it: one worker has tests/network, which mostly wait (tests/conftest.py).
 test: .venv/ready-test
-	$(MAKE) --no-print-directory --jobs 2 linked collected
-	$(MAKE) --no-print-directory --jobs 2 lint suite
+	$(MAKE) --no-print-directory --jobs 3 lint tested
+
+tested: linked collected
+	$(MAKE) --no-print-directory suite
 
 linked: .venv/ready
 	$(BIN)/python -m hw.compiled
