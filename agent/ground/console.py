@@ -29,7 +29,7 @@ from agent.core.topics import STATE
 from agent.core.verbs import CLOCK, URGENT, VERBS, arguments, prepare_all
 from agent.process.certificates import credentials
 from agent.process.command import meant
-from agent.process.links import called_twice
+from agent.process.links import called_twice, unlisted
 from agent.robot.fleet_reader import load_robot
 from agent.robot.operator import why_closed
 from hw.firmware.parameters import NAMES, TABLE
@@ -171,7 +171,10 @@ class OrderConsole:
         heard = {
             one.robot: f"{name} hears it" for name, state in states.items() for one in state.neighbours if one.heard
         }
-        found = {**heard, **dict.fromkeys(self._linked(), "it is heard")}
+        linked = {
+            robot: f"{name} is linked to it" for name, state in states.items() for robot in unlisted(state.faults)
+        }
+        found = {**linked, **heard, **dict.fromkeys(self._linked(), "it is heard")}
         return {robot: why for robot, why in found.items() if robot not in self._fleet.robot}
 
     def _sign_of(self, robot: str, verb: str) -> Basis | tuple[()] | None:

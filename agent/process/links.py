@@ -273,7 +273,8 @@ def _read(ordered: Ordered) -> Order | None:
 
 
 # --- liveliness tokens ---
-# Who stands at the other ends of our links: two agents of one name, and robots of another fleet.
+# Who stands at the other ends of our links: two agents of one name, robots of another fleet, and robots of ours that
+# our file lacks.
 #
 # Each agent shows a token with its fleet, its name and its session. Tokens reach those that are linked and nobody
 # beyond, so two of one name do not see each other where no link joins them; a neighbour that sees both says so, by a
@@ -281,7 +282,7 @@ def _read(ordered: Ordered) -> Order | None:
 
 LASTING_S = 5.0  # a link that was lost keeps its token for as long as its lease, which is 2 s
 SESSIONS = 4  # remembered of each name: two are one too many
-FOREIGN = 4  # robots of other fleets that are remembered
+FOREIGN = 4  # robots of other fleets, and of ours that our file lacks, that are remembered
 SESSION = re.compile(r"[0-9a-f]{1,32}")
 NAME = re.compile(r"[a-z][a-z0-9_]{0,15}")
 
@@ -302,11 +303,20 @@ def called_twice(faults: Iterable[str]) -> set[str]:
     return {fault.removeprefix(TWO).removesuffix(END_ONE) for fault in faults if fault.startswith(TWO)}
 
 
+UNLISTED, ONE_FILE = "another file: ", " of our fleet is linked to us, and is not in our file; give all robots one file"
+
+
+def unlisted(faults: Iterable[str]) -> set[str]:
+    """Robots of its fleet that a robot with these faults is linked to, and that its file lacks."""
+    found = (fault.removeprefix(UNLISTED).removesuffix(ONE_FILE) for fault in faults if fault.startswith(UNLISTED))
+    return {name for name in found if NAME.fullmatch(name)}
+
+
 class Tokens:
     """What tokens say, as far as it concerns one robot. `token` is called in Zenoh's threads, `faults` in the loop."""
 
     def __init__(self, fleet: Fleet, robot: str) -> None:
-        self._fleet, self._robot = fleet.fleet, robot
+        self._fleet, self._robot, self._listed = fleet.fleet, robot, frozenset(fleet.robot)
         names = (robot, *fleet.robot[robot].neighbours)
         self._since_s: dict[str, dict[str, float]] = {name: {} for name in names}  # session -> when it was first seen
         self._foreign: set[_Foreign] = set()
@@ -342,6 +352,8 @@ class Tokens:
             *(f"two agents: {name} is linked to two called {self._robot}; end one" for name in witnesses),
             *(
                 f"another fleet: {robot} is of fleet {fleet}, not {self._fleet}; write one name in both fleet files"
+                if fleet != self._fleet
+                else f"{UNLISTED}{robot}{ONE_FILE}"
                 for fleet, robot in dict.fromkeys((item.fleet, item.robot) for item in foreign)
             ),
         )
@@ -350,7 +362,7 @@ class Tokens:
         if not (NAME.fullmatch(fleet) and NAME.fullmatch(robot) and SESSION.fullmatch(session)):
             return
         with self._lock:
-            if fleet != self._fleet:
+            if fleet != self._fleet or robot not in self._listed:
                 item = _Foreign(fleet, robot, session)
                 if not came:
                     self._foreign.discard(item)

@@ -14,7 +14,7 @@ from agent.core.codec import Refusal, decode, encode, encoding
 from agent.core.config import Fleet, Navigation, Target
 from agent.core.messages import MAX_PAYLOAD, Estimate, Presence
 from agent.core.topics import LINK
-from agent.process.links import BURST, FASTEST_HZ, FOREIGN, LASTING_S, SESSIONS, Inboxes, Tokens
+from agent.process.links import BURST, FASTEST_HZ, FOREIGN, LASTING_S, SESSIONS, Inboxes, Tokens, unlisted
 from agent.process.transport import Transport
 from tests.network.conftest import unused_port
 from tests.network.hostile.payloads import MANY, kinds
@@ -229,6 +229,23 @@ def test_a_robot_of_another_fleet_at_a_neighbours_address(make_fleet: Fleets) ->
             until(lambda: r2.faults() == (says.format("r1", "lake", "test"),))
             until(lambda: r1.faults() == (says.format("r2", "test", "lake"),))
         until(lambda: r2.faults() == ())
+
+
+def test_a_robot_that_our_file_lacks_is_named_while_it_is_linked(make_fleet: Fleets) -> None:
+    fleet = make_fleet(TOKENS_FULL)
+    others = {name: robot for name, robot in fleet.robot.items() if name != "r3"}
+    two = replace(
+        fleet,
+        robot={
+            name: replace(robot, neighbours=tuple(set(robot.neighbours) - {"r3"})) for name, robot in others.items()
+        },
+    )
+    with Transport(two, "r1", time.time_ns) as r1:
+        with Transport(fleet, "r3", time.time_ns):
+            says = "another file: r3 of our fleet is linked to us, and is not in our file; give all robots one file"
+            until(lambda: r1.faults() == (says,))
+            assert unlisted(r1.faults()) == {"r3"}
+        until(lambda: r1.faults() == ())
 
 
 def test_a_restart_is_no_second_agent(make_fleet: Fleets) -> None:

@@ -167,6 +167,17 @@ def test_an_order_to_all_says_whom_the_fleet_file_lacks(loops, verb: str, tmp_pa
     assert list(dict(give(alone, tmp_path / "fleet.toml", "ann", order._replace(everybody=False)))) == ["r1"]
 
 
+def test_a_stop_for_all_names_a_robot_that_no_file_of_those_that_are_heard_has(loops) -> None:
+    loops["r1"].faults = (
+        "another file: r3 of our fleet is linked to us, and is not in our file; give all robots one file",
+    )
+    with console(loops) as ann:
+        until(lambda: ann.states()["r1"].faults)
+        outcomes = dict(ann.orders(["r1", "r2"], "stop", everybody=True))
+    assert verdict(outcomes) == "2 of 3"
+    assert outcomes["r3"].why.startswith("r1 is linked to it, and this fleet file lacks it: it was told nothing")
+
+
 def test_a_stop_for_all_goes_to_who_is_linked_and_not_in_the_file(loops) -> None:
     pair = fleet_of(loops).robot
     renamed = replace(fleet_of(loops), robot={"r1": pair["r1"], "r9": pair["r2"]})
