@@ -41,8 +41,7 @@ SAME = "give all the same file, and start again those that had another"
 
 def robot_findings(fleet: Fleet, facts: Facts, robots: Collection[str], expected: Mapping[str, Said]) -> list[Finding]:
     """About each robot that could be dialled. `expected`: what it would say of itself by our file and version."""
-    found = [finding for name in robots for finding in _robot(fleet, facts, name, expected[name])]
-    return [*found, *_strangers(fleet, facts)]
+    return [finding for name in robots for finding in _robot(fleet, facts, name, expected[name])]
 
 
 def _robot(fleet: Fleet, facts: Facts, name: str, expected: Said) -> Iterator[Finding]:
@@ -119,15 +118,6 @@ def _mute(fleet: Fleet, facts: Facts, name: str, shown: Shown | None) -> Finding
         return Finding("wrong", name, f"{nothing}: {what}; look again, then start it again")
     text = "its rules do not know us, or its loop hangs; give it this fleet file's [access], and start it again"
     return Finding("wrong", name, f"{nothing}: {text}")
-
-
-def _strangers(fleet: Fleet, facts: Facts) -> Iterator[Finding]:
-    """Agents that announce themselves through our links and are in no fleet file of ours."""
-    known = {link.session for link in facts.links.values()}
-    for agent in sorted(facts.agents):
-        if agent.session not in known and agent.robot not in fleet.robot and agent.fleet == fleet.fleet:
-            text = f"an agent calls itself {agent.robot}, and the file has no such robot; end it, or add it"
-            yield Finding("warning", "fleet", text)
 
 
 # --- robots that hear each other ---
@@ -517,6 +507,7 @@ def _from_outside(fleet: Fleet, who: Who) -> Iterator[Finding]:
             found.append(finding)
     yield from found
     ill = {finding.about for finding in found if finding.level == "wrong"}
+    ill |= {name for name, state in facts.states.items() if state.mode != "running"}  # what it says may be of before
     in_order = [name for name in there if name in facts.states and name not in ill]
     yield from (_in_order(robot_view(facts.states[name], fleet), facts, offsets.get(name)) for name in in_order)
 

@@ -61,7 +61,9 @@ class Agent(Revertible):
         """
         outputs = self.transaction.step(self, self._step, inputs, now_ns)
         if self.transaction.holds:
-            outputs = msgspec.structs.replace(outputs, state=self.telemetry.last(self.measuring.current, now_ns))
+            self.status.log.note_seldom("error", "degraded", self.transaction.fault(now_ns) or "", now_ns)
+            state = self.telemetry.last(self.measuring.current, self._situation.camera.gimbal_deg, now_ns)
+            outputs = msgspec.structs.replace(outputs, state=state, log=self.status.log.fetch(now_ns))
         return self.operator.complete(outputs, inputs.orders, now_ns)
 
     def _step(self, inputs: Inputs, now_ns: int) -> Outputs:

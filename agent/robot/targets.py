@@ -321,10 +321,13 @@ class Telemetry(Revertible):
         parts = self._equipment.telemetry(now_ns)
         return target.show(replace(state, mode=mode, signed=signed, ordered=ordered, **parts))
 
-    def last(self, target: TargetState, now_ns: int) -> State | None:
-        """What can be shown while no step succeeds: the newest state there was, and that it is no longer true."""
-        if now_ns < self._due_ns or target.last_state is None:
+    def last(self, target: TargetState, gimbal_deg: tuple[float, float], now_ns: int) -> State | None:
+        """What can be shown while no step succeeds: the newest state there was, or what is known without one, and that
+        it is no longer true."""
+        if now_ns < self._due_ns:
             return None
         self._due_ns = next_due_ns(self._due_ns, self._period_ns, now_ns)
-        last, why = target.last_state, self._transaction.fault(now_ns) or ""
-        return target.show(replace(last, seq=last.seq + 1, sent_ns=now_ns, mode="degraded", faults=(why,)))
+        seq = 1 if target.last_state is None else target.last_state.seq + 1
+        last = target.last_state or self._status.state(target, {}, self._attitude, gimbal_deg, now_ns)
+        why = self._transaction.fault(now_ns) or ""
+        return target.show(replace(last, seq=seq, sent_ns=now_ns, mode="degraded", faults=(why,)))

@@ -9,10 +9,13 @@ from agent.core.codec import encode
 from agent.core.messages import State
 from agent.core.step_io import Heard, Inputs
 from agent.core.step_transaction import SAVE_EVERY, SURFACE_AFTER, SURFACE_M, Savepoint
+from agent.process.command import shipped_fleet
+from agent.robot.fleet_reader import load_fleet
 from agent.robot.inbox import Inbox
 from agent.robot.step import Agent
 from agent.robot.targets import Targets
 from tests.core.swarm_on_hand import Swarm
+from tests.network.scripted_agent import CALIBRATION
 
 POISON = b"poison"
 
@@ -90,18 +93,31 @@ def test_a_kernel_that_breaks_whatever_it_is_told_holds_its_depth_then_goes_up(s
         raise RecursionError
 
     monkeypatch.setattr(Targets, "iterate", broken)
-    depths, states = [], []
+    depths, states, log = [], [], []
     for k in range(2 * SURFACE_AFTER):
         outputs = agent.step(Inputs(), now_ns + 2 + k * 50_000_000)
         depths.append(outputs.set_point.depth_m)
         states.append(outputs.state)
+        log += [(line.level, line.text) for line in outputs.log]
     assert depths[: SURFACE_AFTER - 1] == [sound.depth_m] * (SURFACE_AFTER - 1)
     assert set(depths[SURFACE_AFTER - 1 :]) == {SURFACE_M}
     assert all(s.mode == "degraded" and "RecursionError" in s.faults[0] for s in states if s is not None)
     assert any(isinstance(s, State) for s in states)
+    assert log == [("error", "degraded: RecursionError, in a step whose inputs were left out")]
     monkeypatch.undo()
     outputs = agent.step(Inputs(), now_ns + 10 * 10**9)
     assert outputs.set_point.depth_m == sound.depth_m, "and back, when it works again"
+
+
+def test_one_that_breaks_from_its_first_step_on_shows_why(monkeypatch) -> None:
+    start_ns = 10**18
+    agent = Agent(load_fleet(shipped_fleet("tank")), "r1", CALIBRATION, start_ns)
+    monkeypatch.setattr(Targets, "iterate", lambda *about: 1 / 0)
+    outputs = [agent.step(Inputs(), start_ns + k * 50_000_000) for k in range(1, 40)]
+    states = [each.state for each in outputs if each.state is not None]
+    assert len(states) == 10 and [state.seq for state in states] == list(range(1, 11))
+    assert all(state.mode == "degraded" and "ZeroDivisionError" in state.faults[0] for state in states)
+    assert "ZeroDivisionError" in outputs[0].log[0].text
 
 
 def test_keys_told_in_a_step_that_came_to_nothing_are_told_again(swarm, monkeypatch) -> None:
