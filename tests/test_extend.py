@@ -176,7 +176,10 @@ def test_what_is_said_of_rows_that_do_not_fit(clone: Clone) -> None:
     rows = "operator, sweep, lent, lease, camera"
     place = told(f"capability 'blink': its row of the lamp is to stand above 'cam'; write one of {rows}")
     with clone.edited(file, 'above="camera"', 'above="cam"'):
-        assert place in clone.run("try_blink.py")
+        assert place in clone.run("-m", "agent", "check", "fleet.toml")
+    with clone.edited(file, 'name: ClassVar[str] = "blink"', 'name: ClassVar[str] = "swim"'):
+        taken = told("capability Blink: another one has name = 'swim'; write one of its own")
+        assert taken in clone.run("-m", "agent", "check", "fleet.toml")
     row = told("degraded: LookupError: no row 'blnk' of the lamp in the table of priorities")
     with clone.edited(file, 'Proposal("lamp", "blink"', 'Proposal("lamp", "blnk"'):
         assert row in clone.run("try_blink.py")

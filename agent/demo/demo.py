@@ -61,6 +61,7 @@ from agent.process.command import (
 from agent.process.keys import VARIABLE
 from agent.process.launch import Crew, crew, free_ports, is_free, wait_for
 from agent.process.transport import Observer, fleet_clock
+from agent.robot.arbiter import refuse_broken
 from agent.robot.fleet_reader import load_fleet
 from hw.twin.dive import playable
 from hw.twin.scene import scene_of, target_creatures, target_solids
@@ -91,6 +92,7 @@ def demo_fleet(
     """
     path = path or shipped_fleet()
     fleet = load_fleet(path)
+    refuse_broken(fleet)  # before a minute of calibrations
     names = _first(fleet, robots, path)
     _lives_in_the_twin(fleet, names, path)
     _has_its_targets(fleet, names, path)

@@ -38,7 +38,7 @@ from agent.ground.check_files import (
     watchers_here,
 )
 from agent.process.agent_process import own_calibration
-from agent.robot.arbiter import broken_extend_rules
+from agent.robot.arbiter import broken_extend_rules, priorities
 from agent.robot.fleet_reader import broken_rules, load_fleet, load_robot, read_fleet, two_worlds
 from hw.camera import known_scheme, libcamera, open_camera
 from hw.camera.camera import CameraError
@@ -211,6 +211,10 @@ def mistakes_in(path: Path) -> Iterator[Finding]:
             yield Finding("wrong", "file", f"{path}: key '{key}': {what}")
     for key, remedy in broken:
         yield Finding("wrong", "file", f"{path}: key '{key}': {remedy}")
+    try:
+        priorities()
+    except ConfigError as error:
+        yield Finding("wrong", "code", str(error))
 
 
 def fleet_findings(fleet: Fleet, path: Path) -> Iterator[Finding]:

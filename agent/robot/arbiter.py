@@ -72,6 +72,13 @@ def broken_extend_rules(fleet: Fleet) -> Iterator[tuple[str, str]]:
             yield from kind.broken_rules(fleet)
 
 
+def refuse_broken(fleet: Fleet) -> None:
+    """Raises ConfigError for a capability that cannot be, and for a mistake in [extend]."""
+    priorities()
+    for key, remedy in broken_extend_rules(fleet):
+        raise ConfigError(f"fleet file: key '{key}': {remedy}")
+
+
 def _refuse_sweeps(context: Context) -> None:
     """Raises ConfigError for what a fleet file asks of a camera of fixed focus in vain."""
     fleet = context.fleet
@@ -96,10 +103,9 @@ class Equipment(Capability):
 
     def __init__(self, context: Context) -> None:
         """Those whose table stands in the fleet file. The last that says where the robot was, or lights, counts, for
-        targets and for the capabilities after it. Raises ConfigError for a mistake in [extend], and for a table that
+        targets and for the capabilities after it. Raises ConfigError as refuse_broken does, and for a table that
         sweeps a lens that cannot be."""
-        for key, remedy in broken_extend_rules(context.fleet):
-            raise ConfigError(f"fleet file: key '{key}': {remedy}")
+        refuse_broken(context.fleet)
         _refuse_sweeps(context)
         self.by_name: dict[str, Capability] = {}
         self._neighbours = frozenset(context.fleet.robot[context.name].neighbours)
@@ -191,14 +197,22 @@ PRIORITIES = (
 
 
 def priorities() -> tuple[Row, ...]:
-    """The table, with the rows that capabilities bring. Raises ConfigError for one that has no place in it."""
-    rows = list(PRIORITIES)
+    """The table, with the rows that capabilities bring. Raises ConfigError for one that has no place in it, and for a
+    name that another has."""
+    rows, names = list(PRIORITIES), set[str]()
     for kind in CAPABILITIES:
+        for name in (f"name = '{kind.name}'", f"table = '{kind.table}'"):
+            if name in names:
+                raise ConfigError(f"capability {kind.__name__}: another one has {name}; write one of its own")
+            names.add(name)
         for row in kind.rows:
             holders = [each.holder if each.resource == row.resource else None for each in rows]
             if row.above not in holders or row.above in FIRST:
                 known = ", ".join(holder for holder in holders if holder is not None and holder not in FIRST)
                 why = f"its row of the {row.resource} is to stand above '{row.above}'; write one of {known}"
+                raise ConfigError(f"capability '{kind.name}': {why}")
+            if row.holder in holders:
+                why = f"the {row.resource} has a row '{row.holder}' already; write another name"
                 raise ConfigError(f"capability '{kind.name}': {why}")
             rows.insert(holders.index(row.above), row)
     return tuple(rows)

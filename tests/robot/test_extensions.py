@@ -1,5 +1,6 @@
 """Capabilities that are not built in: their tables of the fleet file, and their rows of the table of priorities."""
 
+import re
 from typing import ClassVar
 
 import pytest
@@ -63,6 +64,22 @@ def test_a_row_stands_right_above_the_one_that_it_names(monkeypatch: pytest.Monk
     with pytest.raises(
         ConfigError, match="capability 'sing': its row of the body is to stand above 'hum'; write one of"
     ):
+        priorities()
+
+
+@pytest.mark.parametrize(
+    ("about", "says"),
+    [
+        ({"name": "swim"}, "capability Hum: another one has name = 'swim'; write one of its own"),
+        ({"table": "navigation"}, "capability Hum: another one has table = 'navigation'"),
+        ({"rows": (Row("body", "stay", "", above="stay"),)}, "capability 'hum': the body has a row 'stay' already"),
+    ],
+)
+def test_a_name_that_exists_already_is_refused(monkeypatch: pytest.MonkeyPatch, about: dict, says: str) -> None:
+    for field, value in about.items():
+        monkeypatch.setattr(Hum, field, value)
+    monkeypatch.setattr(arbiter, "CAPABILITIES", (Swim, Hum))
+    with pytest.raises(ConfigError, match=re.escape(says)):
         priorities()
 
 
