@@ -68,7 +68,8 @@ def decode(
     if "schema" in kind.__struct_fields__:
         said = fields.get("schema")
         if type(said) is not int:
-            raise Refusal("schema", f"schema of type {type(said).__name__}, ours is {SCHEMA}")  # a repr has no end
+            what = f"schema of type {type(said).__name__}" if "schema" in fields else "no schema"  # a repr has no end
+            raise Refusal("schema", f"{what}, ours is {SCHEMA}")
         if said not in accepted:
             raise Refusal("schema", f"schema {said}, ours is {SCHEMA}")
     try:

@@ -14,6 +14,8 @@ from typing import Any, Literal, NamedTuple
 import msgspec
 import numpy as np
 
+from agent.core.config import ConfigError
+
 Row = dict[str, Any]  # what JSON holds: numbers, texts, lists and dicts of them, None; no infinity, no NaN
 Rows = Mapping[str, Sequence[Row]]  # of each case that was run, the rows of all its seeds in order
 
@@ -110,7 +112,8 @@ UNKNOWN = Measured(math.inf, -math.inf, math.inf, 0)  # nothing was there to mea
 
 def measure(claim: Claim, found: Mapping[str, Mapping[int, Sequence[Row]]]) -> dict[str, Measured]:
     """All figures of the rows by case and seed. The bootstrap draws whole seeds, the same ones for all cases, so that a
-    ratio of two cases is one of pairs."""
+    ratio of two cases is one of pairs. Raises ConfigError where all cases were run and a figure is not among what they
+    came to: one that nobody judges would be taken for met."""
     seeds = sorted(set[int]().union(*(by_seed for by_seed in found.values())))
 
     def told(chosen: Sequence[int]) -> dict[str, Value]:
@@ -118,6 +121,9 @@ def measure(claim: Claim, found: Mapping[str, Mapping[int, Sequence[Row]]]) -> d
         return claim.summary(pooled)
 
     values = told(seeds)
+    lacks = [figure.key for figure in claim.figures if figure.key not in values]
+    if lacks and (len(lacks) == len(claim.figures) or found.keys() >= set(claim.cases)):
+        raise ConfigError(f"the summary has no {lacks[0]!r}, of which CLAIM has a figure; it has {', '.join(values)}")
     numbers = [value for value in values.values() if not isinstance(value, Share | Quantile)]
     chance = np.random.default_rng(0)
     again = range(RESAMPLES if numbers and len(seeds) > 1 and not claim.exact else 0)

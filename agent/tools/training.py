@@ -25,6 +25,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from torch import Tensor
 from torch.nn import functional as fn
 
+from agent.clock import machine
 from agent.core.config import ConfigError, writing
 from agent.perception.enhancement import lu2net
 from agent.perception.enhancement.enhance import clahe, classic, network_enhancer, white_balance
@@ -378,7 +379,7 @@ SIDE = 256  # px, to which real pairs are scaled
 VALIDATED = 24  # pairs: enough for a curve, and a small part of the time
 SHARES = 5  # of real pairs, one in so many scenes is for validation
 FINE_TUNING_RATE = 3e-4  # a third of the rate from scratch: the start is worth keeping
-SAVE_EVERY = 50  # steps
+SAVE_EVERY, SAVE_S = 50, 60.0  # steps; on a slow computer, of which so many take long
 
 
 def train(
@@ -405,13 +406,16 @@ def train(
         f"{len(training.raw)} pairs of {len(set(training.scene))} scenes to train on, "
         f"{len(validation.raw)} of {len(set(validation.scene))} others to validate"
     )
+    saved_s = machine.since_boot_s()
     with steps_bar(console) as bar:
         task = bar.add_task("training", total=plan.steps, completed=state.step)
         for value in advance(state, training, validation):
             seen = state.curve and math.isfinite(state.curve[-1].psnr_db)
             last = f", validation {state.curve[-1].psnr_db:.2f} dB" if seen else ""
             bar.update(task, completed=state.step, description=f"loss {value:.3f}{last}")
-            if state.step % SAVE_EVERY == 0 or state.step == plan.steps:
+            now_s = machine.since_boot_s()
+            if state.step % SAVE_EVERY == 0 or state.step == plan.steps or now_s - saved_s > SAVE_S:
+                saved_s = now_s
                 state.save(checkpoint)
                 curves(state.curve, out)
     lu2net.save(between(net, state.average) if net and folders else state.average.eval(), out)

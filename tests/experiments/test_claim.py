@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from agent.core.config import ConfigError
 from agent.experiments.claim import (
     LEVEL,
     Figure,
@@ -166,3 +167,9 @@ def test_a_claim_of_the_table_can_be_run_and_told(name: str) -> None:
     assert keys and len(set(keys)) == len(keys) and claim.cases and claim.explanation.strip()
     assert set(claim.by_default or ()) <= set(claim.cases) and claim.seeds >= 1
     assert callable(claim.run) and callable(claim.summary)
+
+
+def test_a_figure_that_the_summary_does_not_have_is_no_target_met() -> None:
+    claim = dice.CLAIM._replace(summary=lambda rows: {"tails": 0.5})
+    with pytest.raises(ConfigError, match=r"the summary has no '\w+', of which CLAIM has a figure; it has tails"):
+        measure(claim, {case: {0: [{"eyes": 1}]} for case in claim.cases})

@@ -5,6 +5,7 @@ from pathlib import Path
 import cv2
 import numpy as np
 import pytest
+from rich.console import Console
 
 from agent.core.config import ConfigError
 from agent.tools import training_pairs, training_scenes
@@ -217,3 +218,20 @@ def test_a_training_that_was_cut_off_may_go_on(tmp_path):
     (tmp_path / "w.checkpoint").write_text("mine")
     (tmp_path / "w.csv").write_text("its curves so far")
     check(None, None, tmp_path / "w.safetensors", True, None)
+
+
+@pytest.mark.parametrize(("wait_s", "kept"), [(-1.0, True), (60.0, False)])
+def test_a_slow_training_is_saved_each_minute(pairs, tmp_path, monkeypatch, wait_s, kept):
+    def cut_off(*about):
+        steps = advance(*about)
+        yield from (next(steps) for _ in range(2))
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(training, "advance", cut_off)
+    monkeypatch.setattr(training, "_made", lambda *about: (pairs, pairs.only(np.arange(2))))
+    monkeypatch.setattr(training, "SAVE_S", wait_s)
+    with pytest.raises(KeyboardInterrupt):
+        training.train(None, tmp_path / "w.safetensors", TINY, None, False, False, Console(quiet=True))
+    assert (tmp_path / "w.checkpoint").exists() == kept
+    if kept:
+        assert Run.resume(tmp_path / "w.checkpoint", TINY).step == 2
