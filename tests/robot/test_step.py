@@ -172,7 +172,7 @@ def test_an_unknown_target_is_refused_with_a_reason() -> None:
 
 def test_what_people_have_to_put_right_is_a_fault_for_ten_seconds() -> None:
     agent = Agent(TARGETS_FLEET, "r1", CALIBRATION, incarnation=7)
-    other = Heard(arrived_ns=START_NS, src="r2", payload=b"\x81\xa6schema\xc0")
+    other = Heard(arrived_ns=START_NS, src="r2", payload=b"\x80")
     refused = "r2: no schema, ours is 3"
     for heard, after_s, told in (((other,), 0, True), ((), 10, True), ((), 11, False)):
         outputs = agent.step(Inputs(heard=heard), START_NS + after_s * 10**9)
