@@ -105,7 +105,7 @@ def run_plan(
 
 
 def work(module: str, settings: Mapping[str, Any], case: str, seed: int) -> str:
-    """One line of finished.jsonl."""
+    """One line of finished.jsonl. Raises ConfigError for rows that no line of it can hold."""
     claim = load(module)
     start_s = spent_s(claim)
     try:
@@ -113,8 +113,10 @@ def work(module: str, settings: Mapping[str, Any], case: str, seed: int) -> str:
     except Failed as error:
         raise Failed(f"{case}, seed {seed}: {error}") from error
     seconds = round(spent_s(claim) - start_s, 3)
-    # Rows that are no plain JSON, an infinity, a NaN, an array, are the claim's mistake: TypeError or ValueError.
-    return json.dumps({"case": case, "seed": seed, "seconds": seconds, "rows": rows}, allow_nan=False) + "\n"
+    try:
+        return json.dumps({"case": case, "seed": seed, "seconds": seconds, "rows": rows}, allow_nan=False) + "\n"
+    except (TypeError, ValueError) as error:  # an infinity, a NaN, an array, a number of numpy's
+        raise ConfigError(f"{module}: {case}, seed {seed}: rows are plain JSON, and this is none: {error}") from None
 
 
 def spent_s(claim: Claim) -> float:

@@ -9,10 +9,11 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from agent.core.config import ConfigError
-from agent.experiments.run_claim import FINISHED, ROWS, read_finished, run_plan
+from agent.experiments.run_claim import FINISHED, ROWS, read_finished, run_plan, work
 from tests.experiments import dice
 from tests.places import ROOT
 from tests.waiting import until
@@ -164,3 +165,12 @@ def test_a_claim_that_times_the_machine_runs_alone(tmp_path: Path) -> None:
     alone = dice.CLAIM._replace(alone=True)
     with pytest.raises(ConfigError, match="runs alone, for it times the machine"):
         run_plan(dice.plan(seeds=1), tmp_path, 2, None, lambda *_: None, alone)
+
+
+@pytest.mark.parametrize("value", [float("nan"), float("inf"), np.int64(3), np.zeros(2)])
+def test_rows_that_are_no_plain_json_are_one_line(monkeypatch: pytest.MonkeyPatch, value: object) -> None:
+    claim = dice.CLAIM._replace(run=lambda seed, case, settings: [{"eyes": value}])
+    monkeypatch.setattr("agent.experiments.run_claim.load", lambda module: claim)
+    with pytest.raises(ConfigError, match=r"^a\.module: one, seed 4: rows are plain JSON, and this is none: ") as error:
+        work("a.module", {}, "one", 4)
+    assert "\n" not in str(error.value)
