@@ -6,8 +6,9 @@ For each thing to keep clear of, with u the unit vector from it to the robot and
 
 so that of two robots that come towards each other, each with speed c, both can brake in time: after T, with a
 (after Wang et al., arXiv 1609.00651). The nearest point of such half-planes is found one by one: where the best so
-far breaks the next, the new best lies on its edge (Seidel 1991). Where no velocity is safe, they are projected on
-in turn, round after round, neighbours last in each.
+far breaks the next, the new best lies on its edge (Seidel 1991). Where no velocity is safe, all are moved back by as
+little as leaves one, so that the worst is broken least (as van den Berg et al. 2011, "Reciprocal n-body collision
+avoidance"): a robot in a crowd that gets unsure of its place stays where it is, and flees from none into another.
 
 And the reference that a behaviour gives: where the robot shall be, and how fast it may be there.
 """
@@ -33,7 +34,7 @@ DELAY_S = 0.35  # until a robot brakes: its step, its thrusters, and the age of 
 STOPS_S = 1.0  # without a word of it a robot is not expected to swim on for longer than this
 NEAR_1_S, APART_1_S = 1.0, 1.5  # speed for each metre left, and for each metre too near
 RIGHT = 0.5  # of the speed that is lost to a neighbour, to the right of it; one that waits beside a goal is 27 deg off
-ROUNDS = 20  # where nothing is safe; 6 were not enough among three robots in a small tank
+HALVINGS = 10  # of what the half-planes are moved back by, where nothing is safe: to a thousandth of it
 PARALLEL = 1e-9
 STILL: Planar = (0.0, 0.0)
 
@@ -79,7 +80,7 @@ def safe_velocity(
     robots: Iterable[Disc] = (),
 ) -> Planar:
     """The safe velocity nearest to the wanted one; where none is, one that keeps clear of all but animals; where none
-    is, one that keeps clear of the last of the robots.
+    is, the least unsafe.
 
     at_m, spread_m2: of the robot itself; tank_m: length and breadth; things: stones, the target; robots: in the order
     of their names.
@@ -91,7 +92,7 @@ def safe_velocity(
         *(clear_of(at_m, spread_m2, disc) for disc in robots),
     ]
     soft = [clear_of(at_m, spread_m2, disc) for disc in things if disc.flees]
-    return nearest([*hard, *soft], wanted) or nearest(hard, wanted) or _in_turn(hard, wanted)
+    return nearest([*hard, *soft], wanted) or nearest(hard, wanted) or _least_broken(hard, wanted)
 
 
 def keep_right(wanted: Planar, at_m: Planar, spread_m2: Spread, robots: Iterable[Disc]) -> Planar:
@@ -128,14 +129,18 @@ def nearest(planes: Sequence[HalfPlane], wanted: Planar) -> Planar | None:
     return x, y
 
 
-def _in_turn(planes: Sequence[HalfPlane], wanted: Planar) -> Planar:
-    x, y = wanted
-    for _ in range(ROUNDS):
-        for (ux, uy), least in planes:
-            short = least - (ux * x + uy * y)
-            if short > 0.0:
-                x, y = x + short * ux, y + short * uy
-    return x, y
+def _least_broken(planes: Sequence[HalfPlane], wanted: Planar) -> Planar:
+    """The velocity by which the worst of half-planes without a common one is broken least."""
+    none, some = 0.0, max(least for _, least in planes)  # moved back by so much they hold STILL
+    best = STILL
+    for _ in range(HALVINGS):
+        back = 0.5 * (none + some)
+        found = nearest([HalfPlane(u, least - back) for u, least in planes], wanted)
+        if found is None:
+            none = back
+        else:
+            some, best = back, found
+    return best
 
 
 def walls(at_m: Planar, tank_m: Sequence[float]) -> tuple[HalfPlane, HalfPlane, HalfPlane, HalfPlane]:
