@@ -21,7 +21,7 @@ from msgspec import UNSET
 from numpy.typing import NDArray
 
 from agent.capabilities.survey.coverage_map import CoverageMap, grid_of
-from agent.core.capability_messages import Claim, Frame, Keyframe, holds
+from agent.core.capability_messages import Claim, Frame, Keyframe, frame_fault, holds
 from agent.core.codec import READABLE, Refusal, decode
 from agent.core.config import ConfigError, Fleet, check_depth, convert, read_text
 from agent.core.messages import Answer, Estimate, LogLine, State, Symmetric, Vector
@@ -39,7 +39,7 @@ from replay.check.reexecute import (
     other_kind,
     schema_of,
 )
-from replay.files.channels import CLOCK, LINES, STEP_IN, STEP_OUT
+from replay.files.channels import CLOCK, LINES
 from replay.files.info import Moment, in_dive, moment
 from replay.files.log import parts, read
 from replay.files.mcap_file import left_out
@@ -551,6 +551,8 @@ def surveyed(run: Run) -> Surveyed | None:
     for robot, said in _said_of_survey(run):
         if isinstance(said, Keyframe):
             frame = said.frame
+            if frame.origin not in run.fleet.robot or frame_fault(frame, run.fleet.tank.size_m) is not None:
+                continue  # no robot believed it
             frames.setdefault((frame.origin, frame.incarnation, frame.number), (said.sent_ns, frame))
         elif said.sent_ns != (rows[-1].t_ns if (rows := known.setdefault(robot, [])) else None):  # to each neighbour
             rows.append(Known(said.sent_ns, said.share, holds(said)[1], said.digest))
@@ -570,17 +572,18 @@ def _said_of_survey(run: Run) -> Iterator[tuple[str, Claim | Keyframe]]:
     """By whom. What a robot's own black box lacks is in the fleet file, or in what another robot heard from it."""
     for box in run.boxes:
         keys: Mapping[str, bytes] = {}
-        for record in read(box.path):
-            if record.channel == STEP_OUT.name:
-                outputs = decode(record.data, Outputs, STEP_BYTES)
+        for step in box.steps():
+            inputs = decode(step.inputs, Inputs, STEP_BYTES)
+            keys = keys if inputs.keys is UNSET else inputs.keys
+            heard = (each for each in inputs.heard if each.topic == KEYFRAME.name)
+            yield from ((each.src, said) for each in heard if (said := _own_keyframe(each, keys)) is not None)
+            if step.outputs is not None:
+                outputs = decode(step.outputs, Outputs, STEP_BYTES)
                 yield from ((box.robot, said) for row in (CLAIM, KEYFRAME) for said in outputs.said(row))
-            elif record.channel == STEP_IN.name:
-                inputs = decode(record.data, Inputs, STEP_BYTES)
-                keys = keys if inputs.keys is UNSET else inputs.keys
-                heard = (each for each in inputs.heard if each.topic == KEYFRAME.name)
-                yield from ((each.src, said) for each in heard if (said := _own_keyframe(each, keys)) is not None)
-    rows = said_in(run.fleet_file.paths, (CLAIM, KEYFRAME)) if run.fleet_file else ()
-    yield from ((said.chunks[said.topic.writer], said.message) for said in rows)
+    boxed = {box.robot for box in run.boxes}  # their claims are told
+    for _, topic, chunks, message in said_in(run.fleet_file.paths, (CLAIM, KEYFRAME)) if run.fleet_file else ():
+        if topic is KEYFRAME or chunks[topic.writer] not in boxed:
+            yield chunks[topic.writer], message
 
 
 def _own_keyframe(heard: Heard, keys: Mapping[str, bytes]) -> Keyframe | None:

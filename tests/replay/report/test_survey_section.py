@@ -53,6 +53,7 @@ def test_a_robot_without_a_black_box_counts_by_the_fleet_file_or_by_what_another
     for found in (alone, fleet, surveyed(open_run(tmp_path))):
         assert found.all.digest() == whole.all.digest() and len(found.frames) == len(whole.frames)
     assert fleet.known == whole.known and set(alone.known) == {"r1"}
+    assert surveyed(open_run(tmp_path)).known == whole.known, "what a black box has is not told again"
     assert "% of what is wanted is known" in "".join(lead(open_run(tmp_path / "fleet.mcap"), fleet).said[0])
 
 
@@ -63,3 +64,9 @@ def test_who_left_has_no_say_in_what_is_known_at_the_end() -> None:
     gone = lead(run, found._replace(known={**found.known, "r2": early})).said[0].text
     assert gone == lead(run, found._replace(known={"r1": found.known["r1"]})).said[0].text
     assert f"{100 * early[-1].share:.0f} %" not in gone
+
+
+def test_keyframes_that_no_robot_believed_are_not_in_the_map() -> None:
+    """Forged ones, some with depths and sigmas of different grids: the map is the robot's own."""
+    found = surveyed(open_run(GOLDEN / "dark_survey"))
+    assert found.all.digest() == found.known["r1"][-1].digest
