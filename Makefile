@@ -5,7 +5,7 @@ BIN := .venv/bin
 # Tests start hundreds of processes: they read byte code, whatever the shell says.
 export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: venv run test tested linked collected suite firmware docs outside fuzz lint format clean
+.PHONY: venv run test linked collected suite firmware docs outside fuzz lint format clean
 
 venv: .venv/ready
 run: linked
@@ -13,10 +13,7 @@ run: linked
 
 # Lint goes on beside all of it: one worker has tests/network, which mostly wait (tests/conftest.py).
 test: .venv/ready-test
-	$(MAKE) --no-print-directory --jobs 3 lint tested
-
-tested: linked collected
-	$(MAKE) --no-print-directory suite
+	$(MAKE) --no-print-directory --jobs 3 lint suite
 
 linked: .venv/ready
 	$(BIN)/python -m hw.compiled
@@ -26,7 +23,7 @@ linked: .venv/ready
 collected: .venv/collected
 
 # A worker more than cores (tests/conftest.py); above four, they would wait for the one that has tests/network.
-suite: .venv/ready-test
+suite: .venv/ready-test linked collected
 	$(BIN)/pytest -n auto --maxprocesses 4 -rs
 
 # The files that are copied to a board (hw/README.md, "Flash it").

@@ -298,17 +298,22 @@ class _Foreign(NamedTuple):
 TWO, END_ONE = "two agents: two linked to us are called ", "; end one"
 
 
+UNLISTED, ONE_FILE = "another file: ", " of our fleet is linked to us, and is not in our file; give all robots one file"
+
+
 def called_twice(faults: Iterable[str]) -> set[str]:
     """Of which neighbours a robot with these faults is linked to two."""
-    return {fault.removeprefix(TWO).removesuffix(END_ONE) for fault in faults if fault.startswith(TWO)}
-
-
-UNLISTED, ONE_FILE = "another file: ", " of our fleet is linked to us, and is not in our file; give all robots one file"
+    return _named(faults, TWO, END_ONE)
 
 
 def unlisted(faults: Iterable[str]) -> set[str]:
     """Robots of its fleet that a robot with these faults is linked to, and that its file lacks."""
-    found = (fault.removeprefix(UNLISTED).removesuffix(ONE_FILE) for fault in faults if fault.startswith(UNLISTED))
+    return _named(faults, UNLISTED, ONE_FILE)
+
+
+def _named(faults: Iterable[str], before: str, behind: str) -> set[str]:
+    """The names that stand between these words in what somebody says of himself."""
+    found = (fault.removeprefix(before).removesuffix(behind) for fault in faults if fault.startswith(before))
     return {name for name in found if NAME.fullmatch(name)}
 
 

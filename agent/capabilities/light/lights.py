@@ -202,17 +202,15 @@ class Light(Capability, Illumination):
         search, target, now_ns = self._search, situation.watched, situation.now_ns
         believed_m, ball = situation.target.believed_m, self._fleet.target[target]
         at_m = believed_m or glimpsed_m(self._fleet, self._calibration.camera, None, situation)
-        searches = at_m is None and not situation.camera.sees(target)
+        searches, burns = at_m is None and not situation.camera.sees(target), self.own.burns
         if not self._requests.may_ask(situation):
             return
         if searches:
-            if (situation.own is not None and not situation.own.under_way) or not search.look(
-                situation, self.own.burns
-            ):
+            if (situation.own is not None and not situation.own.under_way) or not search.look(situation, burns):
                 return
             at_m = search.place(situation.pose, level)
         choice = None if at_m is None else self._requests.choice(at_m, level, situation)
-        if searches and not search.worth(choice, ball, self.own.burns):
+        if searches and not search.worth(choice, ball, burns):
             search.advance()
             return
         search.have_lit(at_m if believed_m is None else None)

@@ -24,7 +24,7 @@ from agent.capabilities.light.lease import (
     tick,
     verdict,
 )
-from agent.core.capability_messages import LampNow, Lease, Light
+from agent.core.capability_messages import LampNow, Lease, Light, Why
 
 STEP_NS, GUARD_NS = 50_000_000, 100_000_000
 HOLDS_S = 0.6  # twelve steps: some runs are still sweeping when it is over
@@ -153,21 +153,25 @@ def _lamp(mind: Mind, now: int) -> LampNow:
 
 
 def _word(mind: Mind, to: str, now: int) -> Light:
-    party = mind.party
+    return word(mind.party, to, mind.seq, now * STEP_NS, _lamp(mind, now), "off" if mind.off else "")
+
+
+def word(party: Party, to: str, seq: int, now_ns: int, lamp: LampNow, dark: Why = "") -> Light:
+    """What a robot tells a neighbour of its lease, and of the neighbour's."""
     heard = party.word(to)
     fields = {}
-    if (lease := said_lease(party, now * STEP_NS)) is not None:
+    if (lease := said_lease(party, now_ns)) is not None:
         fields["lease"] = lease
-    if (ack := ack_to(party, to, "off" if mind.off else "")) is not None:
+    if (ack := ack_to(party, to, dark)) is not None:
         fields["ack"] = ack
     return Light(
         fleet="tank",
         src=party.me,
         dst=to,
         incarnation=party.incarnation,
-        seq=mind.seq,
+        seq=seq,
         sent_ns=0,
-        lamp=_lamp(mind, now),
+        lamp=lamp,
         heard=None if heard is None else (heard.said.incarnation, heard.said.seq),
         **fields,
     )

@@ -3,23 +3,20 @@
 import random
 from typing import NamedTuple
 
-from msgspec import UNSET
-
 from agent.capabilities.light.lease import (
     TENTH_NS,
     Party,
-    ack_to,
     acquainted,
     ask,
     hear,
     may_have,
     release,
-    said_lease,
     tick,
 )
-from agent.core.capability_messages import LampNow, Lease, Light
+from agent.core.capability_messages import LampNow, Lease
+from tests.capabilities.light.small_world import STEP_NS, word
 
-STEP_NS, GUARD_NS, RETRY_NS = 50_000_000, 300_000_000, 200_000_000
+GUARD_NS, RETRY_NS = 300_000_000, 200_000_000
 NAMES = ("r1", "r2", "r3")
 WANTS_S = 8.0
 
@@ -61,21 +58,6 @@ def turns(seed: int, seconds: int, latest_steps: int) -> Turns:
             for neighbour in party.neighbours:
                 words = on_the_way[name, neighbour]
                 arrives = max(step + rng.randint(1, latest_steps), words[-1][0] if words else 0)
-                words.append((arrives, _word(party, neighbour, step, now_ns)))
+                words.append((arrives, word(party, neighbour, step, now_ns, LampNow())))
         shared += sum(party.phase == "holds" for party in parties.values()) > 1
     return Turns(held, shared)
-
-
-def _word(party: Party, neighbour: str, seq: int, now_ns: int) -> Light:
-    lease, ack = said_lease(party, now_ns), ack_to(party, neighbour, "")
-    return Light(
-        fleet="tank",
-        src=party.me,
-        dst=neighbour,
-        incarnation=1,
-        seq=seq,
-        sent_ns=now_ns,
-        lamp=LampNow(),
-        lease=UNSET if lease is None else lease,
-        ack=UNSET if ack is None else ack,
-    )

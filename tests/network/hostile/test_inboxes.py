@@ -233,13 +233,8 @@ def test_a_robot_of_another_fleet_at_a_neighbours_address(make_fleet: Fleets) ->
 
 def test_a_robot_that_our_file_lacks_is_named_while_it_is_linked(make_fleet: Fleets) -> None:
     fleet = make_fleet(TOKENS_FULL)
-    others = {name: robot for name, robot in fleet.robot.items() if name != "r3"}
-    two = replace(
-        fleet,
-        robot={
-            name: replace(robot, neighbours=tuple(set(robot.neighbours) - {"r3"})) for name, robot in others.items()
-        },
-    )
+    near = {"r1": ("r2",), "r2": ("r1",)}
+    two = replace(fleet, robot={name: replace(fleet.robot[name], neighbours=of) for name, of in near.items()})
     with Transport(two, "r1", time.time_ns) as r1:
         with Transport(fleet, "r3", time.time_ns):
             says = "another file: r3 of our fleet is linked to us, and is not in our file; give all robots one file"
