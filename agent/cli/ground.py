@@ -136,7 +136,7 @@ def snapshot(
     robots = load_fleet(fleet)
     load_robot(robots, robot, fleet)
     if target is not None:
-        check_target(target)
+        check_target(target, robots)
     path = new_file(out or Path(f"{robot}.jpg"))
     if path.suffix.lower() not in (".jpg", ".jpeg"):
         raise ConfigError(f"--out {path}: a robot shows JPEGs; give it a name that ends in .jpg")

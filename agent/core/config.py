@@ -18,10 +18,11 @@ import tomli_w
 from msgspec import Meta
 
 from agent.core.codec import MOST_DEEP, as_text, printable, too_deep
+from agent.core.messages import Id
 
 # --- fleet file ---
 
-Name = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
+Name = Id  # of a fleet, a robot, a target, a console
 Positive = Annotated[float, Meta(gt=0)]
 Share = Annotated[float, Meta(ge=0, lt=1)]
 Device = Annotated[str, Meta(min_length=1)]

@@ -13,6 +13,7 @@ What a field means stands here and nowhere else: `means` puts it into the JSON S
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Mapping
 from functools import cache
 from typing import Annotated, Any, Literal, get_args, get_type_hints
@@ -28,7 +29,8 @@ MAX_JPEG = 60_000  # bytes of a preview: with what stands around it, it fits int
 
 Vector = tuple[float, float, float]
 Symmetric = tuple[float, float, float, float, float, float]  # xx xy xz yy yz zz
-Id = Annotated[str, Meta(pattern=r"^[a-z][a-z0-9_]{0,15}$")]
+NAME = re.compile(r"[a-z][a-z0-9_]{0,15}")
+Id = Annotated[str, Meta(pattern=rf"^{NAME.pattern}$(?!\n)")]  # for Python, $ is before a last line feed, too
 Count = Annotated[int, Meta(ge=0)]
 Signature = Annotated[bytes, Meta(max_length=64)]
 Level = Literal["info", "warning", "error"]

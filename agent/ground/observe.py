@@ -18,14 +18,13 @@ from msgspec import UNSET
 from agent.clock import machine
 from agent.core.codec import Refusal, printable
 from agent.core.config import NAME_RULE, ConfigError, Fleet
-from agent.core.messages import Image, State
+from agent.core.messages import NAME, Image, State
 from agent.core.robot_view import in_own_name, robot_view
 from agent.core.topics import IMAGE, STATE
 from agent.ground.bridges.outward import own_word
 from agent.process.certificates import credentials
 from agent.process.command import Failed, new_recording
 from agent.process.keys import VARIABLE
-from agent.process.links import NAME
 from agent.process.transport import Observer, fleet_clock
 from agent.robot.fleet_reader import load_fleet
 from replay.recorder import record, view
@@ -92,10 +91,12 @@ def about(path: Path, image: Image) -> str:
     )
 
 
-def check_target(name: str) -> None:
-    """Raises ConfigError for a name that no fleet file takes."""
+def check_target(name: str, fleet: Fleet) -> None:
+    """Raises ConfigError for a name that the fleet file does not take, or has already."""
     if not NAME.fullmatch(name):
         raise ConfigError(f"--target {printable(name)}: {NAME_RULE}; give another name")
+    if name in fleet.target:
+        raise ConfigError(f"--target {name}: the fleet file has a target of that name; give another name")
 
 
 def target_table(fleet: Fleet, name: str, path: Path, image: Image) -> str:

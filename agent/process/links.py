@@ -22,12 +22,12 @@ from msgspec import UNSET
 from agent.core import topics
 from agent.core.codec import Refusal, decode, encode, encoding
 from agent.core.config import Fleet
-from agent.core.messages import MAX_ORDER, Answer, Order
+from agent.core.messages import MAX_ORDER, NAME, Answer, Order
 from agent.core.step_io import DroppedPayloads, Heard, Ordered
 from agent.core.topics import LINK, Topic
 from agent.core.verbs import CLOCK, URGENT
 from agent.robot.arbiter import CAPABILITIES, table_of
-from agent.robot.operator import CONSOLE, why_closed
+from agent.robot.operator import why_closed
 from router_config.session import Link, Query, Sample, Withdraw, unusable
 
 KEPT = LINK.qos.buffer
@@ -223,7 +223,7 @@ class OrderBox:
         self.drop()
 
     def _unusable(self, query: Query, console: str) -> str | None:
-        if CONSOLE.fullmatch(console) is None:
+        if NAME.fullmatch(console) is None:
             return "order of nobody"
         if query.encoding != encoding(Order):
             return "order in a wrong encoding"
@@ -284,7 +284,6 @@ LASTING_S = 5.0  # a link that was lost keeps its token for as long as its lease
 SESSIONS = 4  # remembered of each name: two are one too many
 FOREIGN = 4  # robots of other fleets, and of ours that our file lacks, that are remembered
 SESSION = re.compile(r"[0-9a-f]{1,32}")
-NAME = re.compile(r"[a-z][a-z0-9_]{0,15}")
 
 Announce = Callable[[str], Withdraw]  # a token's key -> how to take it back
 

@@ -18,7 +18,7 @@ from msgspec.structs import replace
 from agent.core.capability import CameraAct, Overrides, Proposal, Situation
 from agent.core.codec import Refusal, decode, printable
 from agent.core.config import Fleet, Follow, Goto, Hold, Orbit, Search, Survey, Trial, Turn
-from agent.core.messages import MAX_ORDER, MAX_WORDS, Answer, Order
+from agent.core.messages import MAX_ORDER, MAX_WORDS, NAME, Answer, Order
 from agent.core.status import Logbook
 from agent.core.step_io import Motors, Ordered, Outputs, TargetBox, Telemetry
 from agent.core.step_transaction import SURFACE_M, Revertible
@@ -257,12 +257,11 @@ class Memory(Revertible):
 # The consoles that the fleet file names may order, where links prove which one asks; on one computer alone any may.
 
 LOOPBACK = re.compile(r"127(\.\d{1,3}){3}|localhost|\[::1\]")
-CONSOLE = re.compile(r"[a-z][a-z0-9_]{0,15}")
 
 
 def why_closed(fleet: Fleet, console: str) -> str:
     """Why a console of that name may not order; empty: it may. The same at the console and at the robots."""
-    if CONSOLE.fullmatch(console) is None:
+    if NAME.fullmatch(console) is None:
         return "the name of a console is a small letter and up to 15 small letters, digits or _"
     consoles = fleet.access.consoles
     if console not in consoles and (fleet.secured or consoles):

@@ -299,9 +299,9 @@ def opened(path: str, system: System) -> Device:
     """Raises CameraError where we may not, CameraGone where nothing is."""
     try:
         return system.attach(path)
-    except PermissionError:
-        raise CameraError(f"{path}: you may not open it; join its group, video on most systems") from None
     except OSError as error:
+        if error.errno == errno.EACCES:
+            raise CameraError(f"{path}: you may not open it; join its group, video on most systems") from None
         raise CameraGone(f"{path}: cannot be opened: {error.strerror}; see v4l2-ctl --list-devices") from None
 
 

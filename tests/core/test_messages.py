@@ -130,6 +130,7 @@ def payload(without: str = "", **changes: Any) -> bytes:
         (payload(seq=-1), "seq"),
         (payload(seq="1"), "seq"),
         (payload(src="R1"), "src"),
+        (payload(src="r1\n"), "src"),
         (payload(src="r1/r2"), "src"),
         (payload(x_m=(1.0, 2.0)), "x_m"),
         (payload(cov_m2=(1.0,) * 9), "cov_m2"),

@@ -113,13 +113,20 @@ def test_the_table_of_a_target_is_toml_whatever_the_picture_is_called(make_fleet
     assert told["target"]["fish"]["picture"] == 'a"b\\.jpg'
 
 
-def test_a_name_that_no_fleet_file_takes_is_refused_before_a_picture_is_taken(make_fleet: Fleets, tmp_path) -> None:
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("My stone", "--target My stone: a name is a small letter and up to 15 small letters"),
+        ("ball", "--target ball: the fleet file has a target of that name"),
+    ],
+)
+def test_a_name_that_the_fleet_file_cannot_take_is_refused_before_a_picture_is_taken(
+    make_fleet: Fleets, tmp_path: Path, name: str, said: str
+) -> None:
     fleet, out = tmp_path / "fleet.toml", tmp_path / "p.jpg"
     fleet.write_text(dump(make_fleet({"r1": ()})))
-    said = CliRunner().invoke(
-        app, ["snapshot", str(fleet), "--robot", "r1", "--out", str(out), "--target", "My stone"], standalone_mode=False
-    )
-    assert str(said.exception).startswith("--target My stone: a name is a small letter and up to 15 small letters")
+    called = ["snapshot", str(fleet), "--robot", "r1", "--out", str(out), "--target", name]
+    assert str(CliRunner().invoke(app, called, standalone_mode=False).exception).startswith(said)
     assert not out.exists()
 
 
