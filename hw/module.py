@@ -1,23 +1,27 @@
-"""The control module of a robot, whatever is behind it: the protocol that every backend keeps, the table from an
-address to a backend, and the switch for its motors."""
+"""The control module of a robot, whatever is behind it: the protocol that every backend keeps, what its flags say, the
+switch for its motors, and when it is asked to arm. The table from an address to a backend is in `hw.stm32`."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Future
-from pathlib import Path
 from types import TracebackType
-from typing import Any, Literal, Protocol, Self
+from typing import Any, Literal, NamedTuple, Protocol, Self
 
-from agent.clock.clock import Clock
-from agent.core.config import ConfigError
 from agent.core.step_io import Motors as Ordered
 from agent.core.step_io import SetPoint, Telemetry
 from hw.firmware import wire
 from hw.firmware.failsafe import LATCHED, SURFACE
 
 Tap = Callable[[bool, bytes], None]  # (whether from the module, bytes), called in the backend's thread
-Line = tuple[Literal["info", "warning", "error"], str]  # for people
+Level = Literal["info", "warning", "error"]
+
+
+class StatusText(NamedTuple):
+    """A line for people, from the module or about it."""
+
+    level: Level
+    text: str
 
 
 class Module(Protocol):
@@ -32,7 +36,11 @@ class Module(Protocol):
     @property
     def wants_armed(self) -> bool: ...
 
-    def drain(self) -> tuple[Sequence[Telemetry], Sequence[Line]]:
+    @property
+    def faults(self) -> Mapping[str, str]:
+        """What is wrong with it and with the way to it, and why it surfaces or has stopped: kind -> words."""
+
+    def drain(self) -> tuple[Sequence[Telemetry], Sequence[StatusText]]:
         """What came since the last call, oldest first. Telemetry's flags are those of hw.firmware.wire, its ladder the
         levels of hw.firmware.failsafe. Raises RuntimeError where the backend has died."""
 
@@ -59,39 +67,12 @@ class Module(Protocol):
     ) -> None: ...
 
 
-# --- address -> backend ---
-
-SCHEMES = {"twin": "ROBOT", "stm32": "/dev/ttyACM0"}  # scheme -> what follows it; a bare path is an stm32's
-
-
-def open_module(url: str, twin_dir: Path, clock: Clock, tap: Tap | None = None, part: str = "") -> Module:
-    """The backend that `url` names, for a `with` block: SCHEME:PLACE, see SCHEMES, or the path of a serial port.
-
-    clock: stamps telemetry, and waits for the backend's thread as `part`; tap: sees the bytes of both directions.
-    Raises ConfigError for an address that no backend serves. A port that is missing is looked for until it is there.
-    """
-    # Imported when asked for: a vehicle needs no libraries of one that it is not.
-    from hw.stm32.driver import Stm32
-
-    return Stm32(serial_port(url, twin_dir), clock, tap=tap, part=part)
-
-
-def serial_port(url: str, twin_dir: Path) -> str:
-    """The path of the serial port that an address stands for; a twin's is a pty. Raises ConfigError."""
-    scheme, place = known_scheme(url)
-    return str(twin_dir / f"{place}.serial") if scheme == "twin" else place
-
-
-def known_scheme(url: str) -> tuple[str, str]:
-    """SCHEME and PLACE of an address. Raises ConfigError for one that no backend serves."""
-    scheme, colon, place = url.partition(":")
-    if not colon or "/" in scheme:  # a path, which may have colons behind
-        return "stm32", url
-    if scheme not in SCHEMES or not place:
-        known = ", ".join(f"{name}:{what}" for name, what in SCHEMES.items())
-        raise ConfigError(f"serial = '{url}': no such kind of control module; write a serial port's path, or {known}")
-    return scheme, place
-
+# What its flags say is wrong: kind of fault, and words
+FLAGGED = {
+    wire.FLAG_LEAK: ("leak", "water at the probe; take the robot out, and open it"),
+    wire.FLAG_KILLED: ("kill switch", "open, or it was since the motors were last armed"),
+    wire.FLAG_BATTERY: ("battery low", "the robot surfaces, and does not arm; charge it"),
+}
 
 # --- motors ---
 
@@ -186,3 +167,82 @@ def surfacing_for_silence(telemetry: Telemetry) -> bool:
     order to arm still holds; a leak, a low battery or whatever else the board found is for a person to judge."""
     own = wire.FLAG_LEAK | wire.FLAG_BATTERY | wire.FLAG_DEGRADED | wire.FLAG_FOUND
     return telemetry.armed and telemetry.ladder == SURFACE and not telemetry.flags & own
+
+
+# --- arming ---
+
+
+# Refusals that go away while the robot just waits; each other one needs a person to do something.
+CURABLE = frozenset(
+    {
+        "no handshake",
+        "sensors not all good",
+        "sensors disagree",
+        "set-point old",
+        "ESC neutral for less than 3 s",
+        "control cycle too slow",
+    }
+)
+
+STAYS_LATCHED = "fault latched"
+REBOOT = "look at the robot, then `aucamp board reboot`"
+
+
+class Arming:
+    """Whether the board is to be armed, whether it is, and when to ask it.
+
+    It is asked again while waiting can cure a refusal, and given up for good when it cannot. A line that a method
+    returns has to be said.
+    """
+
+    def __init__(self) -> None:
+        self.wanted = False
+        self.armed = False  # what the board said last
+        self._ordered = False  # `want` was called and the board has not agreed yet
+        self._due_ns = 0
+        self._refusal = ""
+
+    def want(self) -> None:
+        """Ask as soon as the board can. One that is armed and surfaces is called back to work by the same order."""
+        self.wanted = self._ordered = True
+        self.begin()
+
+    def begin(self) -> None:
+        """Ask at once: after a new order, or on a new port."""
+        self._due_ns = 0
+        self._refusal = ""
+
+    def due(self, now_ns: int) -> bool:
+        """Whether it is time to send the order."""
+        return self.wanted and (self._ordered or not self.armed) and now_ns >= self._due_ns
+
+    def later(self, now_ns: int) -> None:
+        """The order got no answer."""
+        self._due_ns = now_ns + AGAIN_NS
+
+    def answered(self, ok: bool, now_ns: int) -> None:
+        self.armed = ok
+        self._ordered = self._ordered and not ok
+        self.later(now_ns)
+
+    def seen(self, armed: bool) -> StatusText | None:
+        """What telemetry shows. A board that disarms by itself is not armed again."""
+        line = self.give_up("the board has disarmed") if self.armed and not armed else None
+        self.armed = armed
+        return line
+
+    def refused(self, mask: int) -> StatusText | None:
+        """Why, as the bits of wire.ARM_CHECKS; the same reason is told once."""
+        why = [check for i, check in enumerate(wire.ARM_CHECKS) if mask >> i & 1]
+        text, before = ", ".join(why), self._refusal
+        self._refusal = text
+        if not CURABLE.issuperset(why):
+            remedy = REBOOT if STAYS_LATCHED in why else "put it right"
+            return self.give_up(f"arming refused: {text}; {remedy}, then arm again")
+        return StatusText("info", f"arming waits: {text}") if text != before else None
+
+    def give_up(self, text: str) -> StatusText | None:
+        """The board is not armed, and is not asked to arm until it is ordered again."""
+        line = StatusText("error", text) if self.wanted else None
+        self.wanted = self.armed = False
+        return line

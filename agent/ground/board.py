@@ -29,7 +29,8 @@ from agent.robot.operator import WEATHER_M
 from hw.firmware import wire
 from hw.firmware.failsafe import LATCHED, WIRING
 from hw.firmware.thrust import PITCH, ROLL
-from hw.module import serial_port
+from hw.module import FLAGGED
+from hw.stm32 import serial_port
 from hw.stm32.driver import TEXTS, Stm32, checked_id
 from hw.stm32.protocol import NO_IMU, Outcome
 from hw.twin.twin_folder import twin_dir
@@ -349,13 +350,9 @@ def cause(reset_cause: int) -> str:
 def marks(telemetry: Telemetry) -> list[str]:
     """What its flags say, in words."""
     bad = " ".join(map(str, telemetry.bad_sensors))
-    words = {
-        wire.FLAG_KILLED: "kill switch open",
-        wire.FLAG_LEAK: "leak",
-        wire.FLAG_BATTERY: "battery low",
-        wire.FLAG_DEGRADED: f"sensors not believed: {bad or '?'}",
-    }
-    found = [text for flag, text in words.items() if telemetry.flags & flag]
+    found = [kind for flag, (kind, _) in FLAGGED.items() if telemetry.flags & flag]
+    if telemetry.flags & wire.FLAG_DEGRADED:
+        found.append(f"sensors not believed: {bad or '?'}")
     return [*found, "tared" if telemetry.flags & wire.FLAG_TARED else "not tared"]
 
 

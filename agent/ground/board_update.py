@@ -27,7 +27,7 @@ from agent.ground.board import greeted
 from agent.process.command import Failed, Progress
 from agent.robot.fleet_reader import load_fleet, load_robot
 from hw import board_files
-from hw.module import known_scheme, serial_port
+from hw.stm32 import known_scheme, serial_port
 from hw.stm32.driver import BAUD
 from hw.twin.twin_folder import twin_dir
 

@@ -43,7 +43,7 @@ from agent.robot.fleet_reader import broken_rules, load_fleet, load_robot, read_
 from hw.camera import known_scheme, libcamera, open_camera
 from hw.camera.camera import CameraError
 from hw.camera.v4l2_node import find
-from hw.module import serial_port as module_port
+from hw.stm32 import serial_port as module_port
 from hw.twin.twin_folder import twin_dir
 
 # --- devices of this computer ---

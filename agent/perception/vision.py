@@ -36,7 +36,7 @@ from agent.perception.depth_sweep import BlockSweep
 from agent.perception.detection.detectors import Detector, load_detectors
 from agent.perception.enhancement.enhance import OnDemandEnhancer, one_thread
 from agent.perception.flow import LandmarkWatch
-from hw.camera.camera import PATIENCE_S, Camera, CameraError, FocusRange, Frame, Roi
+from hw.camera.camera import PATIENCE_S, Camera, CameraError, CameraGone, FocusRange, Frame, Roi
 
 # --- checks of what a camera delivers: a frame at all, and pictures that move ---
 
@@ -167,6 +167,7 @@ IDLE_PERIOD_S = 0.25  # between plans: enough to notice that the target moved or
 READ_TIMEOUT_S = 0.8  # settling and many frames; less than close() waits
 RETRY_S = (0.2, 2.0)  # first and longest pause before a lost camera is opened again
 SLACK_S = 0.025  # how long a frame may be looked at before a dive's clock waits
+STANDS = "it reports one position wherever it is told to go: look at its motor and cable"
 QUEUE = 256  # sightings that are not fetched yet: 8 s of frames at 30 per second
 
 
@@ -220,6 +221,7 @@ class Vision:
         self.refused = 0  # plans for a camera whose focus cannot be set
         self.fault: str | None = None  # why there is no camera now, or no worker
         self.frozen: str | None = None  # why its pictures are not believed to be of now
+        self.lens: str | None = None  # why the lens does not move, though there are pictures
 
     def start(self) -> None:
         if self._landmarks is not None:
@@ -241,6 +243,11 @@ class Vision:
             out = list(self._views)
             self._views.clear()
         return out
+
+    @property
+    def faults(self) -> dict[str, str | None]:
+        """What is wrong with the camera, by kind."""
+        return {"no camera": self.fault, "frames frozen": self.frozen, "lens": self.lens}
 
     def rest(self, lens_position: int | None) -> None:
         """Where the lens shall be between sweeps, as near to it as landmarks allow; None: where they are sharpest."""
@@ -334,19 +341,31 @@ class Vision:
         if wanted is None:
             return
         if camera.focus_range() is not None and wanted != self._lens_position:
-            self._lens_position = camera.set_focus(wanted)
+            self._move(camera, wanted)
         if landmarks is not None:
             landmarks.rested(wanted, self._lens_position)
+
+    def _move(self, camera: TimedCamera, lens_position: int) -> bool:
+        """Whether the lens could be told. One that could not is a fault, and pictures go on: tags are seen without."""
+        try:
+            self._lens_position = camera.set_focus(lens_position)
+        except CameraGone:
+            raise
+        except CameraError as error:
+            self.lens = str(error)
+            return False
+        self.lens = self.lens if self.lens == STANDS else None
+        return True
 
     def _survey(self, camera: TimedCamera, plan: SweepPlan, part: Part) -> None:
         """A sweep over whole frames, of no target."""
         view = BlockSweep(plan, self._camera)
-        self._lens_position = camera.set_focus(plan.focus[0])
+        if not self._move(camera, plan.focus[0]):
+            return
         self._wait(part, camera.homing_s, until_plan=True)
         for lens_position in plan.focus[1:]:
-            if self._closing or self._plan is not None:
+            if self._closing or self._plan is not None or not self._move(camera, lens_position):
                 return
-            self._lens_position = camera.set_focus(lens_position)
             self._look(camera, tuple(self._detectors), keep=view)
         peaks = view.peaks()
         with self._changed:
@@ -354,16 +373,19 @@ class Vision:
 
     def _sweep(self, camera: TimedCamera, plan: SweepPlan, part: Part) -> None:
         target = plan.target or next(iter(self._detectors))
-        self._lens_position = camera.set_focus(plan.focus[0])
+        if not self._move(camera, plan.focus[0]):
+            return
         self._wait(part, camera.homing_s, until_plan=True)
         first: Sighting | None = None
+        reported = {self._lens_position}
         for index, lens_position in enumerate(plan.focus[1:], start=1):
-            if self._closing or self._plan is not None:
+            if self._closing or self._plan is not None or not self._move(camera, lens_position):
                 return
-            self._lens_position = camera.set_focus(lens_position)
+            reported.add(self._lens_position)
             sighting = self._look(camera, (target,), plan.sweep, index, first)
             if first is None and sighting.found:
                 first = sighting
+        self.lens = STANDS if len(reported) == 1 < len(set(plan.focus)) else None
 
     def _look(
         self,

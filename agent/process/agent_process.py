@@ -58,7 +58,8 @@ from agent.robot.fleet_reader import load_fleet, load_robot, with_behaviour
 from agent.robot.step import Agent
 from hw.camera import known_scheme, open_camera
 from hw.camera.camera import Camera, CameraError, Frame
-from hw.module import Motors, open_module
+from hw.module import Motors
+from hw.stm32 import open_module
 from hw.twin.twin_folder import twin_dir
 from replay.files.info import RateNotes
 from replay.files.mcap_file import environment
@@ -410,13 +411,8 @@ class AgentProcess:
         keys, motors = self._setup.keys, Motors(self._module, arm)
 
         def faults() -> tuple[str, ...]:
-            found = {
-                UNRECORDED: self.log.fault,
-                "no camera": self._eyes.fault,
-                "frames frozen": self._eyes.frozen,
-                "motors off": motors.fault(),
-                "keys": keys.fault(),
-            }
+            own = {UNRECORDED: self.log.fault, "motors off": motors.fault(), "keys": keys.fault()}
+            found = {**own, **self._eyes.faults, **self._module.faults}
             return (*(f"{kind}: {what}" for kind, what in found.items() if what), *self._link.faults())
 
         self._loop = Runtime(

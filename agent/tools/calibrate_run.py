@@ -25,7 +25,7 @@ from agent.robot.fleet_reader import load_fleet, load_robot
 from agent.tools.bench_calibration import DISTANCES, SETTINGS, Place, Wait, calibrate, setting
 from hw.camera import open_camera
 from hw.camera.camera import Camera
-from hw.module import open_module
+from hw.stm32 import open_module
 from hw.twin.calibration_bench import BenchClient
 from hw.twin.twin_folder import twin_dir
 

@@ -7,7 +7,6 @@ import errno
 import os
 import select
 import threading
-from collections.abc import Callable
 from concurrent.futures import Future
 from types import TracebackType
 from typing import Literal
@@ -20,7 +19,8 @@ from agent.core.config import ConfigError
 from agent.core.step_io import SetPoint, Telemetry
 from agent.core.step_transaction import named
 from hw.firmware import parameters, wire
-from hw.stm32.protocol import Counters, Greeting, HostProtocol, Level, Outcome, StatusText
+from hw.module import Level, StatusText, Tap
+from hw.stm32.protocol import Counters, Greeting, HostProtocol, Outcome
 
 
 def reason(error: OSError) -> str:
@@ -78,7 +78,6 @@ BACK_OFF_S = (0.1, 1.0)  # first and longest pause between attempts to open the 
 TURN_NS = 50_000_000  # the thread looks at least this often whether an order has to be repeated
 MAX_WAITING = 1024  # bytes not yet taken by the port: beyond it a set-point is stale before it leaves
 Mode = Literal["hold", "stabilise", "surface", "bench"]
-Tap = Callable[[bool, bytes], None]  # (whether from the board, bytes), called in the driver's thread
 MODES: tuple[Mode, ...] = ("hold", "stabilise", "surface", "bench")  # in the order of wire.HOLD ...
 SLACK_S = 0.025  # how long an order may lie here before a dive's clock waits
 SLOWEST = 0.2  # a dive's clock may be slower, but close() does not wait for it
@@ -206,6 +205,12 @@ class Stm32:
         """What the board said of itself when it last greeted."""
         with self._lock:
             return self._protocol.greeting
+
+    @property
+    def faults(self) -> dict[str, str]:
+        """What is wrong at the board and on the line to it, as long as it is: kind -> words."""
+        with self._lock:
+            return self._protocol.faults
 
     @property
     def counters(self) -> Counters:

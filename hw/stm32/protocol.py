@@ -14,6 +14,7 @@ from msgspec.structs import replace
 
 from agent.core.step_io import SetPoint, Telemetry
 from hw.firmware import failsafe, parameters, wire
+from hw.module import FLAGGED, Arming, Level, StatusText
 
 # --- orders: asked, sent, repeated, answered ---
 
@@ -144,15 +145,7 @@ class Orders:
 
 TTL_MS = 500  # of a set-point; the board holds position after it
 
-Level = Literal["info", "warning", "error"]
 LEVELS: tuple[Level, ...] = ("info", "warning", "error")  # in the order of wire.INFO ...
-
-
-class StatusText(NamedTuple):
-    """A line for people, from the board or about it."""
-
-    level: Level
-    text: str
 
 
 class Greeting(NamedTuple):
@@ -222,103 +215,27 @@ def log_line(level: int, text: bytes) -> StatusText:
     return StatusText(LEVELS[min(level, 2)], f"board: {text.decode(errors='replace')}")
 
 
+def why(arg: int) -> str:
+    """What an EVENT gives as its reason."""
+    return wire.REASONS[arg] if 0 <= arg < len(wire.REASONS) else f"reason {arg}"
+
+
 def event_line(code: int, before: int, after: int, severity: int, arg: int) -> StatusText:
     """The line of an EVENT, but for a refusal to arm."""
-    reason = wire.REASONS[arg] if 0 <= arg < len(wire.REASONS) else f"reason {arg}"
-    ladder = f"failsafe level {before} -> {after}: {reason}" if after else f"failsafe over, it was level {before}"
+    ladder = f"failsafe level {before} -> {after}: {why(arg)}" if after else f"failsafe over, it was level {before}"
     text = {
         wire.EV_BOOT: "booted",
         wire.EV_ARMED: "armed",
-        wire.EV_DISARMED: f"disarmed: {reason}",
+        wire.EV_DISARMED: f"disarmed: {why(arg)}",
         wire.EV_LADDER: ladder,
     }.get(code, f"event {code}")
     return StatusText(LEVELS[min(severity, 2)], f"board: {text}")
 
 
-# --- arming ---
-
-AGAIN_NS = 500_000_000  # after a refusal that time alone can cure
-
-# Refusals that go away while the robot just waits; each other one needs a person to do something.
-CURABLE = frozenset(
-    {
-        "no handshake",
-        "sensors not all good",
-        "sensors disagree",
-        "set-point old",
-        "ESC neutral for less than 3 s",
-        "control cycle too slow",
-    }
-)
-
-NO_IMU = "no IMU: sensors that drift in pairs and a robot put in upside down may go unnoticed"
-LATCHED = "fault latched"
-REBOOT = "look at the robot, then `aucamp board reboot`"
-
-
-class Arming:
-    """Whether the board is to be armed, whether it is, and when to ask it.
-
-    It is asked again while waiting can cure a refusal, and given up for good when it cannot. A line that a method
-    returns has to be said.
-    """
-
-    def __init__(self) -> None:
-        self.wanted = False
-        self.armed = False  # what the board said last
-        self._ordered = False  # `want` was called and the board has not agreed yet
-        self._due_ns = 0
-        self._refusal = ""
-
-    def want(self) -> None:
-        """Ask as soon as the board can. One that is armed and surfaces is called back to work by the same order."""
-        self.wanted = self._ordered = True
-        self.begin()
-
-    def begin(self) -> None:
-        """Ask at once: after a new order, or on a new port."""
-        self._due_ns = 0
-        self._refusal = ""
-
-    def due(self, now_ns: int) -> bool:
-        """Whether it is time to send the order."""
-        return self.wanted and (self._ordered or not self.armed) and now_ns >= self._due_ns
-
-    def later(self, now_ns: int) -> None:
-        """The order got no answer."""
-        self._due_ns = now_ns + AGAIN_NS
-
-    def answered(self, ok: bool, now_ns: int) -> None:
-        self.armed = ok
-        self._ordered = self._ordered and not ok
-        self.later(now_ns)
-
-    def seen(self, armed: bool) -> StatusText | None:
-        """What telemetry shows. A board that disarms by itself is not armed again."""
-        line = self.give_up("the board has disarmed") if self.armed and not armed else None
-        self.armed = armed
-        return line
-
-    def refused(self, mask: int) -> StatusText | None:
-        """Why, as the bits of wire.ARM_CHECKS; the same reason is told once."""
-        why = [check for i, check in enumerate(wire.ARM_CHECKS) if mask >> i & 1]
-        text, before = ", ".join(why), self._refusal
-        self._refusal = text
-        if not CURABLE.issuperset(why):
-            remedy = REBOOT if LATCHED in why else "put it right"
-            return self.give_up(f"arming refused: {text}; {remedy}, then arm again")
-        return StatusText("info", f"arming waits: {text}") if text != before else None
-
-    def give_up(self, text: str) -> StatusText | None:
-        """The board is not armed, and is not asked to arm until it is ordered again."""
-        line = StatusText("error", text) if self.wanted else None
-        self.wanted = self.armed = False
-        return line
-
-
 # --- conversation ---
 
 HELLO_EVERY_NS = 500_000_000
+NO_IMU = "no IMU: sensors that drift in pairs and a robot put in upside down may go unnoticed"
 
 # Telemetry kept for a caller that is late: 5 s at 50 Hz. Lines of text: more is a babbling board.
 KEEP_TELEMETRY, KEEP_LINES = 256, 64
@@ -331,19 +248,32 @@ class Counters(NamedTuple):
     reconnects: int = 0  # times the port was opened again
     dropped: int = 0  # telemetry that the caller did not fetch in time
     latency_ns: int | None = None  # newest: from handing over a set-point to telemetry that shows it
-    board_rx_ok: int = 0  # frames that the board got from the host
-    board_rx_bad: int = 0  # broken ones
-    board_late: int = 0  # cycles that the board has missed since it booted, modulo 65536
+
+
+LOSS_OVER = 10  # STATUS frames, each second one: over so long losses are counted
+LOSSY = 0.02  # share of frames; a sound line loses none, and control stands 15 % each way
+
+
+class Heard(NamedTuple):
+    """Frames up to a STATUS."""
+
+    ours: int = 0  # of the board, as its numbers count them
+    lost: int = 0  # of those
+    board: int = 0  # of this host, as the board counts them
+    broken: int = 0  # of those
 
 
 class HostProtocol:
-    """State of one conversation. It outlives the port: a board that comes back with a new boot id is not armed again.
+    """State of one conversation. It outlives the port: a board that comes back with a new boot id is not armed again,
+    and another one at this port, as where two robots' cables change places, is told nothing.
 
     `now_ns` counts on any one clock.
     """
 
     def __init__(self, host_boot: int) -> None:
-        self._arming, self._latched = Arming(), False  # whether the board has, by what it said last
+        self._arming = Arming()
+        self._flags = self._failsafe = 0  # the board's flags and its level of the failsafe, by what it said last
+        self._why = ""  # that level is not 0
         self._stop: Literal["none", "latched", "rebooting"] = "none"  # an emergency stop of this host's
         self.telemetry: deque[Telemetry] = deque()
         self.lines: deque[StatusText] = deque(maxlen=KEEP_LINES)
@@ -355,7 +285,6 @@ class HostProtocol:
         self._set: dict[int, float] = {}  # parameters set and not saved: a board that restarts gets them again
         self._counts = {"rx_ok": 0, "rx_bad": 0, "lost": 0, "reconnects": -1, "dropped": 0}
         self._latency_ns: int | None = None
-        self._board_rx, self._board_late = (0, 0), 0
         self._imu_boot: int | None = None  # the newest that has an IMU, or was said to have none
         self._status: dict[str, float] = {}  # for the telemetry that comes next
         self._last_text = ""
@@ -364,6 +293,8 @@ class HostProtocol:
     def _begin(self) -> None:
         self._framer = wire.Framer(self._on_frame)
         self._hello = False
+        self._stranger = ""  # chip of another board than greeted before
+        self._heard: deque[Heard] = deque(maxlen=LOSS_OVER)
         self._version = wire.OLDEST  # of the protocol that is greeted in: a board tells whether it knows the next
         self._agreed = False  # that it is this one
         self._hello_due_ns: int | None = None
@@ -398,13 +329,38 @@ class HostProtocol:
         return Counters(
             **total | {"reconnects": max(0, total["reconnects"])},
             latency_ns=self._latency_ns,
-            board_rx_ok=self._board_rx[0],
-            board_rx_bad=self._board_rx[1],
-            board_late=self._board_late,
         )
 
+    @property
+    def faults(self) -> dict[str, str]:
+        """What is wrong at the board, by its newest telemetry, and on the line to it: kind -> words."""
+        found = {kind: words for flag, (kind, words) in FLAGGED.items() if self._flags & flag}
+        if self._why and self._failsafe:
+            found["failsafe cause"] = self._why
+        if line := self._line_fault():
+            found["tether"] = line
+        return found
+
+    def _line_fault(self) -> str:
+        if self._stranger and self.greeting is not None:
+            return (
+                f"another control module answers at this port, chip {self._stranger}, not {self.greeting.uid}: it is "
+                "told nothing; plug in this robot's, or start this agent again"
+            )
+        if len(self._heard) < LOSS_OVER:
+            return ""
+        first, last = self._heard[0], self._heard[-1]
+        from_board = (last.lost - first.lost) / max(last.ours - first.ours, 1)
+        to_board = (last.broken - first.broken) / max(last.board - first.board, 1)
+        if max(from_board, to_board) < LOSSY:
+            return ""
+        return f"of its frames {from_board:.0%} are lost, of those to it {to_board:.0%}; look at cable and plugs"
+
     def set_point(self, asked: SetPoint, now_ns: int) -> bytes:
-        """The frame of a set-point; what is beyond the wire's range is clipped."""
+        """The frame of a set-point, what is beyond the wire's range clipped; none before the board has said which it
+        is: it would be steered for the time that it holds one."""
+        if not self._hello:
+            return b""
         self._sent_ns[self._writer.seq] = now_ns
         return self._frame(
             wire.SETPOINT, *set_point_fields(asked, now_ns, self._version if self._agreed else wire.OLDEST)
@@ -421,7 +377,7 @@ class HostProtocol:
     def stop(self, kind: int, *fields: float) -> None:
         """DISARM, ESTOP, or MODE to surface, ahead of any other command."""
         self._arming.wanted = False
-        if kind == wire.ESTOP and not self._latched:
+        if kind == wire.ESTOP and self._failsafe != failsafe.LATCHED:
             self._stop = "latched"
         self._orders.overtake(Order(kind, fields))
 
@@ -450,6 +406,8 @@ class HostProtocol:
             # a zero first, so that noise before it does not swallow the frame
             out += b"\0" + self._frame(wire.HELLO, self._version, wire.schema_crc(self._version), self._host_boot)
             self._hello_due_ns = now_ns + HELLO_EVERY_NS
+        if self._stranger:
+            return out
         current = self._orders.current
         idle = self._hello and self._orders.idle
         if idle and self._arming.due(now_ns):
@@ -514,6 +472,10 @@ class HostProtocol:
         if self._hello and boot_id == self._boot_id:
             return  # a greeting that was said already
         known = self.greeting
+        self._stranger = uid.hex() if known is not None and known.uid != uid.hex() else ""
+        if self._stranger:
+            self.say("error", self._line_fault())
+            return
         self.greeting = Greeting(build.decode(errors="replace"), uid.hex(), boot_id, cause, crc, capabilities)
         if boot_id != self._boot_id and self._boot_id is not None:
             if self._stop != "rebooting":
@@ -524,8 +486,8 @@ class HostProtocol:
         self.say("info", f"board {self.greeting.build}, boot {boot_id:08x}")
         if known is not None and known.boot_id != boot_id:
             self._events.clear()  # numbered anew
-            again = self._set if known.uid == self.greeting.uid else {}
-            self._set = {}
+            self._heard.clear()
+            again, self._set = self._set, {}
             for i, value in again.items():
                 self.ask(wire.PARAM_SET, i, parameters.TABLE[i][4], 0, value)
 
@@ -535,7 +497,7 @@ class HostProtocol:
             self.hung_up()
             return
         self._say(self._arming.seen(telemetry.armed))
-        self._latched = telemetry.ladder == failsafe.LATCHED
+        self._flags, self._failsafe = telemetry.flags, telemetry.ladder
         if telemetry.rate_rad_s is not UNSET:
             self._imu_boot = self._boot_id
         sent_ns = self._sent_ns.pop(set_point_seq, None)
@@ -550,8 +512,9 @@ class HostProtocol:
     def _on_status(
         self, _t_us: int, _mv: int, current_10ma: int, temperature_cc: int, _loop_us: int, *rest: int
     ) -> None:
-        rx_ok, rx_bad, heap_free_16, self._board_late, _cause, _leak = rest
-        self._board_rx = rx_ok, rx_bad
+        rx_ok, rx_bad, heap_free_16, _late, _cause, _leak = rest
+        counts = self.counters
+        self._heard.append(Heard(counts.rx_ok + counts.lost, counts.lost, rx_ok + rx_bad, rx_bad))
         self._status = {"current_a": current_10ma * 1e-2, "heap_free_b": heap_free_16 * 16}
         if temperature_cc:  # 0: no sensor has told one
             self._status["temperature_c"] = temperature_cc * 1e-2
@@ -586,8 +549,10 @@ class HostProtocol:
         self._events.append(count)
         if code == wire.EV_ARM_REFUSED:
             self._say(self._arming.refused(arg))
-        else:
-            self._say(event_line(code, before, after, severity, arg))
+            return
+        self._say(event_line(code, before, after, severity, arg))
+        if code == wire.EV_LADDER:  # who surfaces for a leak stops for having surfaced
+            self._why = f"{self._why}, then {why(arg)}" if before and after and self._why else why(arg) if after else ""
 
     def _say(self, line: StatusText | None) -> None:
         if line is not None:

@@ -26,8 +26,9 @@ from agent.ground.board import Bench
 from agent.process.command import Failed
 from hw.firmware import wire
 from hw.firmware.failsafe import DISARM, SURFACE
+from hw.module import StatusText
 from hw.stm32.driver import IDS, MODES, Mode
-from hw.stm32.protocol import Greeting, StatusText
+from hw.stm32.protocol import Greeting
 from hw.stm32.protocol import Outcome as Asked
 from hw.twin.physics.body import quaternion
 from hw.twin.physics.sensors import PA_PER_M

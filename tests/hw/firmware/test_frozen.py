@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from hw.firmware import wire
-from hw.stm32.protocol import Arming
+from hw.module import Arming
 from tests.hw.firmware.bare_board import BareBoard
 from tests.hw.firmware.diving_robot import HOVER, REST_N, diving_robot
 

@@ -13,17 +13,19 @@ class FakeBoard:
         """version: the newest that it speaks."""
         self.protocol, self.boot_id, self.version, self.writer = protocol, boot_id, version, wire.Writer()
 
-    def greet(self, schema: int | None = None, version: int | None = None) -> None:
+    def greet(self, schema: int | None = None, version: int | None = None, uid: bytes = b"") -> None:
         version = self.version if version is None else version
         schema = wire.schema_crc(version) if schema is None else schema
         can, count = (
             (0, 0, wire.CAN_VERSION_2, wire.CAN_VERSION_2 | wire.CAN_VERSION_3)[self.version],
             wire.PARAMETER_COUNTS[version],
         )
-        self.say(wire.HELLO_ACK, version, schema, b"testtest", b"", self.boot_id, 1, 0, 0, count, can)
+        self.say(wire.HELLO_ACK, version, schema, b"testtest", uid, self.boot_id, 1, 0, 0, count, can)
 
-    def telemetry(self, armed: int = 0, flags: int = wire.FLAG_HELLO, rate: int = wire.NO_RATE) -> None:
-        fields = 1, armed, 0, flags, *[0] * 10, *[1500] * 12, 0, 15000, 0, 0, 0, 0, 0
+    def telemetry(
+        self, armed: int = 0, flags: int = wire.FLAG_HELLO, rate: int = wire.NO_RATE, ladder: int = 0
+    ) -> None:
+        fields = 1, armed, ladder, flags, *[0] * 10, *[1500] * 12, 0, 15000, 0, 0, 0, 0, 0
         if self.version == 1:
             self.say(wire.TELEM_1, *fields)
         else:

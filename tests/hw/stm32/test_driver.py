@@ -17,9 +17,9 @@ from agent.core.config import ConfigError
 from agent.core.step_io import Telemetry
 from hw.firmware import failsafe, wire
 from hw.firmware.failsafe import DISARM, HOLD, LATCHED, OK, SURFACE
-from hw.module import AGAIN_NS, ARM_WITHIN_NS, Motors, open_module, serial_port, surfacing_for_silence
+from hw.module import AGAIN_NS, ARM_WITHIN_NS, Level, Motors, surfacing_for_silence
+from hw.stm32 import open_module, serial_port
 from hw.stm32.driver import Stm32
-from hw.stm32.protocol import Level
 from tests.hw.stm32.driven_desk import HOVER, Port, drive
 from tests.robot.ordering import Ordering
 from tests.sample_messages import telemetry

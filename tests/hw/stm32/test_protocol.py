@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import os
 import sys
@@ -19,8 +20,9 @@ from agent.core.step_io import SetPoint
 from agent.ground.board import run as run_board
 from agent.process.command import Failed
 from hw.firmware import failsafe, parameters, wire
+from hw.module import CURABLE, Arming
 from hw.stm32.driver import Stm32
-from hw.stm32.protocol import CURABLE, NO_ANSWER, NO_BOARD, OVERTAKEN, Arming, HostProtocol, event_line
+from hw.stm32.protocol import NO_ANSWER, NO_BOARD, OVERTAKEN, HostProtocol, event_line
 from tests.hw.firmware.diving_robot import FLEET
 from tests.hw.firmware.nominal_plant import AIR_PA
 from tests.hw.stm32.driven_desk import Port, drive
@@ -76,6 +78,66 @@ def test_arming_a_board_without_an_imu_says_so_once_a_boot(rate_cdeg_s, warnings
     assert sum(line.text.startswith("no IMU") for line in protocol.lines) == warnings
 
 
+def test_another_board_at_this_port_is_told_nothing_until_the_right_one_is_back():
+    """As where two robots' cables change places: each stays armed, and would swim by the other's orders."""
+    protocol = HostProtocol(1)
+    ours, other = FakeBoard(protocol, boot_id=5), FakeBoard(protocol, boot_id=6)
+    ours.greet(uid=b"twelve bytes")
+    protocol.arm()
+    ours.telemetry(armed=1)
+    assert protocol.set_point(SetPoint(depth_m=0.2), 0) and not protocol.faults
+    protocol.hung_up()
+    protocol.connected()
+    assert not protocol.set_point(SetPoint(depth_m=0.2), 0), "whose board this is nobody knows yet"
+    other.greet(uid=b"other twelve")
+    other.telemetry(armed=1)
+    protocol.stop(wire.ESTOP)
+    assert kinds(protocol.due(10**9)) == [wire.HELLO] and not protocol.set_point(SetPoint(depth_m=0.2), 0)
+    assert "another control module answers" in protocol.faults["tether"] == protocol.lines[-1].text
+    assert b"other twelve".hex() in protocol.faults["tether"] and len(protocol.telemetry) == 1
+    protocol.hung_up()
+    protocol.connected()
+    ours.greet(uid=b"twelve bytes")
+    assert protocol.set_point(SetPoint(depth_m=0.2), 0) and not protocol.faults
+
+
+def test_what_flags_say_and_why_it_surfaces_are_faults_as_long_as_they_last():
+    protocol = HostProtocol(1)
+    board = FakeBoard(protocol)
+    board.greet()
+    count = itertools.count()
+
+    def level(before: int, after: int, why: str) -> dict[str, str]:
+        board.say(wire.EVENT, 0, wire.EV_LADDER, before, after, 2, wire.REASONS.index(why), next(count))
+        board.telemetry(flags=wire.FLAG_HELLO | (wire.FLAG_LEAK if after else 0), ladder=after)
+        return protocol.faults
+
+    board.telemetry(flags=wire.FLAG_HELLO | wire.FLAG_KILLED)
+    assert list(protocol.faults) == ["kill switch"]
+    board.telemetry()
+    assert not protocol.faults
+    assert level(0, 2, "leak")["failsafe cause"] == "leak" and "leak" in protocol.faults
+    assert level(2, 3, "surfaced")["failsafe cause"] == "leak, then surfaced"
+    assert not level(3, 0, "order")
+    assert level(0, 1, "host silent")["failsafe cause"] == "host silent"
+
+
+@pytest.mark.parametrize(("lost", "broken", "said"), [(0, 0, ""), (12, 0, "12% are lost"), (0, 30, "to it 30%")])
+def test_a_line_that_loses_frames_is_a_fault(lost: int, broken: int, said: str):
+    protocol = HostProtocol(1)
+    board = FakeBoard(protocol)
+    board.greet()
+    for second in range(1, 12):
+        assert not protocol.faults, "too early to tell"
+        for _ in range(99 - lost):
+            board.telemetry()
+        board.writer.seq += lost
+        board.say(wire.STATUS, 0, 0, 0, 0, 0, (100 - broken) * second, broken * second, 0, 0, 0, 0)
+        if second >= 10:
+            break
+    assert said in protocol.faults.get("tether", "") and bool(said) == bool(protocol.faults)
+
+
 def test_lost_frames_and_late_readers_are_counted():
     protocol = HostProtocol(1)
     board = FakeBoard(protocol)
@@ -89,6 +151,7 @@ def test_lost_frames_and_late_readers_are_counted():
 
 def test_set_point_is_clipped_not_wrapped():
     protocol = HostProtocol(1)
+    FakeBoard(protocol).greet()
     frame = protocol.set_point(
         SetPoint(depth_m=99.0, force_n=(-99.0, 0.0), servos_us=(-5, 70000, 1500, 1500), light=7.0), 0
     )
