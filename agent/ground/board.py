@@ -32,7 +32,7 @@ from hw.firmware.thrust import PITCH, ROLL
 from hw.module import FLAGGED
 from hw.stm32 import serial_port
 from hw.stm32.driver import TEXTS, Stm32, checked_id
-from hw.stm32.protocol import NO_IMU, Outcome
+from hw.stm32.protocol import Outcome
 from hw.twin.twin_folder import twin_dir
 
 BoardOrder = Literal["info", "tare", "check", "params", "reboot"]
@@ -186,9 +186,10 @@ class Bench:
         if wrong := faults_of(leans_m):
             raise Failed(f"{self._name}: {' or '.join(wrong)}; put that right, then check again")
         self._save({"wiring": WIRING})
-        if self._newest is None or self._newest.rate_rad_s is UNSET:
-            self._tell(NO_IMU)
-        self._tell("passed: the wires are where the drawing has them; it may be armed")
+        seen, unseen = ("kill switch, sensors, T1 to T4", "") if hands else ("T1 to T4", "kill switch, sensors, ")
+        self._tell(
+            f"passed: {seen} are as the drawing has them, and it may be armed. Not seen: {unseen}T5 to T8, servos"
+        )
 
     def _check_clock(self) -> None:
         """Against this computer's, since the greeting: pulses are as wrong as the board's crystal."""

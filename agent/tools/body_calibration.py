@@ -214,6 +214,7 @@ def _check(trial: Trial) -> int:
 # --- `aucamp calibrate body` ---
 
 LARGEST_MISFIT = 2.5  # beyond it the fixes are missed by more than their covariances, and the water's noise, explain
+LARGEST_LAG = 3.0  # standard deviations of what thrusters differ by: stamps of time are wrong
 ROWS = (
     ("mass_kg", "mass, with the water that moves along", "kg"),
     ("drag", "drag, linear", "N s/m"),
@@ -226,14 +227,17 @@ ROWS = (
 
 
 def run(recording: Path, out: Path | None, console: Console) -> BodyFit:
-    """Fit, print, and put the fit into `out` if given. Raises ConfigError and Failed, one line each."""
+    """Fit, print, and put the fit into `out` if given. Raises ConfigError and Failed, one line each; CalibrationRefused
+    is one, for a fit that does not explain its trial: a robot would fly by it."""
     box = open_box(recording)
     if out is not None and (owner := check_file(out).get("robot", box.robot)) != box.robot:
         raise ConfigError(f"{out}: is the calibration of '{owner}', and {recording} is of '{box.robot}'; give its own")
     trial = with_bar(console, "replaying the trial", lambda show: read_trial(box, show))
     fit = with_bar(console, "fitting", lambda show: _fitted(trial, show))
     console.print(table(fit))
-    console.print(verdict(fit))
+    if why := refusal(fit):
+        raise CalibrationRefused(f"{recording}: {why}")
+    console.print(explained(fit))
     if out is not None:
         console.print(put(out, "body", msgspec.to_builtins(fit), recording))
     return fit
@@ -279,11 +283,24 @@ def table(fit: BodyFit) -> Table:
     return shown
 
 
-def verdict(fit: BodyFit) -> str:
+def explained(fit: BodyFit) -> str:
     """One line: how well the constants explain the trial."""
-    said = (
+    return (
         f"{fit.fixes} poses are missed by {fit.misfit:.2f} times what their covariances and the water's noise explain"
     )
-    if fit.misfit <= LARGEST_MISFIT:
-        return said
-    return f"{said}: something else pushed the robot; look for a tether that pulled or a current, and swim it again"
+
+
+def refusal(fit: BodyFit) -> str:
+    """Why nothing is to be believed of the fit; empty: it explains the trial."""
+    if fit.misfit > LARGEST_MISFIT:
+        return (
+            f"{explained(fit)}: something else pushed the robot, or one of T5-T8 is dead or turns the wrong way; look "
+            "for a tether that pulled and a current, see which way each thruster pushes, and swim it again"
+        )
+    usual = Hull().lag_s
+    if abs(math.log(fit.lag_s / usual)) > LARGEST_LAG * PRIOR[-1]:
+        return (
+            f"thrusters seem to answer after {fit.lag_s:.2f} s, and {usual:.2f} s is usual: frames are stamped late, "
+            "or a clock was set meanwhile; `aucamp calibrate run` measures [timing], and swim it again"
+        )
+    return ""

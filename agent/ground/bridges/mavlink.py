@@ -7,16 +7,15 @@ any other does not reach us.
 
 from __future__ import annotations
 
-import errno
 import math
 import socket
 import struct
 from collections import Counter
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
-from queue import Empty, SimpleQueue
+from queue import SimpleQueue
 from threading import Event
 from typing import Any, NamedTuple
 
@@ -28,8 +27,8 @@ from agent.core.messages import Level, LogLine, State
 from agent.core.robot_view import robot_view
 from agent.core.topics import LOG, STATE
 from agent.core.verbs import URGENT
-from agent.ground.bridges.outward import ALT_HOLD, SURFACING, Newest, Vehicle, own_word, vehicle
-from agent.ground.console import OrderConsole, Outcome
+from agent.ground.bridges.outward import ALT_HOLD, SURFACING, Newest, Vehicle, held, numbered, own_word, taken, vehicle
+from agent.ground.console import Basis, OrderConsole, Outcome
 from agent.process.certificates import credentials
 from agent.process.transport import LOOKER, Observer, fleet_clock
 
@@ -240,20 +239,21 @@ def answers(all_of_it: Parameters, message: Any) -> Iterator[Any]:
 # Each robot is a system of its own, by its place in the fleet file, from the first number on that it is given. Nothing
 # here opens a socket or looks at a clock.
 
-MOST_SYSTEMS = 250  # ground stations are 255, and other programs about them 254 and so on
 COMPONENT = mavlink.MAV_COMP_ID_AUTOPILOT1
 BEAT_NS = 1_000_000_000
 BEATS_AN_ORIGIN = 5
-MOST_UNDER_WAY = 64  # orders that wait for an answer; and as many that are urgent
+MOST_UNDER_WAY = 8  # orders to one robot that wait for an answer; and as many that are urgent
+RETRY_NS = 20_000_000_000  # a ground station asks again within it, where no answer came
 STALLED_S = 1.0  # a turn of the loop takes a tenth of that; this process was stopped, or its computer slept
 READS = ("PARAM_REQUEST_LIST", "PARAM_REQUEST_READ", "PARAM_SET")
 TAKEN_NS = 5_000_000_000  # a stranger's heartbeat with a robot's number is minded for so long
 UNFIT = "a value does not fit into it"
 READ_ONLY = "this bridge only looks; to order, start it with --as NAME"
 
-Done = Callable[[Outcome], None]
-# Gives an order to a robot and returns at once; `Done` is called with what became of it, from any thread.
-Give = Callable[[str, str, Done], None]
+Told = Callable[[str, Outcome], None]
+# Gives an order (robots, verb, by which State of each, whether to all that there are) and returns at once; what became
+# of it at each robot is `Told` from any thread.
+Give = Callable[[Sequence[str], str, Mapping[str, Basis], bool, Told], None]
 
 
 class _Asked(NamedTuple):
@@ -287,7 +287,8 @@ class Gateway:
         self._parameters = {robot: parameters(fleet, robot, number) for robot, number in self.systems.items()}
         self._newest = Newest()
         self._under_way: list[_Asked] = []
-        self._over: SimpleQueue[tuple[_Asked, Outcome]] = SimpleQueue()
+        self._unanswered: dict[_Asked, tuple[Basis, int]] = {}  # by which State it was first asked, and when
+        self._over: SimpleQueue[tuple[_Asked, str, Outcome]] = SimpleQueue()
         self._beat_ns: dict[str, int] = {}  # when each robot's heart beat last, and how often it has
         self._beats = dict.fromkeys(fleet.robot, 0)
         self._lines = 0
@@ -329,19 +330,22 @@ class Gateway:
         kind, target = message.get_type(), getattr(message, "target_system", None)
         if getattr(message, "target_component", 0) not in (0, COMPONENT):
             return
-        for robot, system in self.systems.items():
-            if target not in (EVERYBODY, system):
-                continue
-            if kind in COMMANDS and (number := _wants(message)) is not None:
+        addressed = [robot for robot, system in self.systems.items() if target in (EVERYBODY, system)]
+        number = _wants(message) if kind in COMMANDS else None
+        sender = message.get_srcSystem(), message.get_srcComponent()
+        if kind in ORDERS and number is None:
+            self._order(addressed, message, target == EVERYBODY, wall_ns)
+            return
+        for robot in addressed:
+            if number is not None:
                 self._request(robot, message, number, now_ns, wall_ns)
-            elif kind in ORDERS:
-                self._order(robot, message, wall_ns)
             elif kind in READS:
                 self._tell(robot, answers(self._parameters[robot], message))
             elif kind == "MISSION_REQUEST_LIST":
-                sender = message.get_srcSystem(), message.get_srcComponent()
                 kind_of = getattr(message, "mission_type", 0)
                 self._tell(robot, (mavlink.MAVLink_mission_count_message(*sender, 0, kind_of),))
+            elif kind in ("MISSION_COUNT", "MISSION_CLEAR_ALL"):
+                self._tell(robot, (mavlink.MAVLink_mission_ack_message(*sender, mavlink.MAV_MISSION_UNSUPPORTED),))
 
     def _stranger(self, message: Any, wall_ns: int) -> None:
         """A heartbeat, which none of ours is: nobody sends us what we sent."""
@@ -355,36 +359,70 @@ class Gateway:
         since_ns = self._taken_ns.get(robot)
         return since_ns is not None and wall_ns - since_ns < TAKEN_NS
 
-    def _order(self, robot: str, message: Any, wall_ns: int) -> None:
+    def _order(self, robots: Sequence[str], message: Any, everybody: bool, wall_ns: int) -> None:
+        """Give it to those of these robots that may have it."""
+        sender, begun = (message.get_srcSystem(), message.get_srcComponent()), dict[str, _Asked]()
+        for robot in robots:
+            what = self._allowed(robot, message, wall_ns)
+            if isinstance(what, No):
+                self._deny(robot, what, *sender)
+            elif self._begin(one := _Asked(robot, what, *sender)):
+                begun[robot] = one
+        if not begun or self._give is None:
+            return
+        seen = {robot: basis for robot, one in begun.items() if (basis := self._basis(one, wall_ns)) is not None}
+        some = next(iter(begun.values()))
+
+        def told(robot: str, outcome: Outcome) -> None:
+            self._over.put((begun.get(robot, some), robot, outcome))
+
+        self._give(list(begun), some.act.verb, seen, everybody, told)
+
+    def _allowed(self, robot: str, message: Any, wall_ns: int) -> Act | No:
         what = asked(message)
-        sender = message.get_srcSystem(), message.get_srcComponent()
         if isinstance(what, Act) and what.verb not in URGENT and self._is_taken(robot, wall_ns):
             why = f"another vehicle is system {self.systems[robot]} too; start a bridge with another --first-system"
             what = No(what.command, mavlink.MAV_RESULT_DENIED, why)
         if isinstance(what, Act) and self._give is None:
             what = No(what.command, mavlink.MAV_RESULT_DENIED, READ_ONLY)
-        if isinstance(what, No):
-            self._deny(robot, what, *sender)
-            return
-        one, urgent = _Asked(robot, what, *sender), what.verb in URGENT
-        waits = one in self._under_way and not urgent  # asked again: its answer is on the way
-        alike = sum((other.act.verb in URGENT) is urgent for other in self._under_way)
-        if self._give is None or waits or alike >= MOST_UNDER_WAY:
-            return
+        return what
+
+    def _begin(self, one: _Asked) -> bool:
+        """Whether it is to be given: a stop each time, what else is asked again while it waits has its answer on the
+        way. What one robot leaves unanswered takes no other's place."""
+        urgent, waits = one.act.verb in URGENT, one in self._under_way
+        alike = sum(each.robot == one.robot and (each.act.verb in URGENT) is urgent for each in self._under_way)
+        if waits and (not urgent or alike >= MOST_UNDER_WAY):
+            return False
+        if alike >= MOST_UNDER_WAY:
+            self._warn(one.robot, f"{one.act.verb}: left out, {alike} orders wait for its answer")
+            return False
         self._under_way.append(one)
-        self._give(robot, what.verb, lambda outcome: self._over.put((one, outcome)))
+        return True
+
+    def _basis(self, one: _Asked, wall_ns: int) -> Basis | None:
+        """By which State it was decided: the newest, but of one without an answer that is asked again the first one's,
+        so that it undoes no stop that came between."""
+        self._unanswered = {each: of for each, of in self._unanswered.items() if wall_ns - of[1] < RETRY_NS}
+        state = self._newest.last(one.robot)
+        if one not in self._unanswered and state is not None:
+            self._unanswered[one] = (state.incarnation, state.sent_ns), wall_ns
+        return self._unanswered[one][0] if one in self._unanswered else None
 
     def _acknowledge(self) -> None:
         """By what robots answered. One that did not gets no acknowledgement: nobody knows."""
-        while True:
-            try:
-                one, outcome = self._over.get_nowait()
-            except Empty:
-                return
+        while not self._over.empty():  # nobody else takes from it
+            one, robot, outcome = self._over.get_nowait()
+            if robot != one.robot:  # which the fleet file lacks, or of which there are two
+                if outcome.answer is None or not outcome.answer.ok:
+                    self._warn(one.robot, f"{one.act.verb}: {robot}: {outcome.why}")
+                continue
             self._under_way.remove(one)
             if outcome.answer is None:
                 self._warn(one.robot, f"{one.act.verb}: {outcome.why}")
-            elif outcome.answer.ok:
+                continue
+            self._unanswered.pop(one, None)
+            if outcome.answer.ok:
                 self._ack(one.robot, one.act.command, mavlink.MAV_RESULT_ACCEPTED, one.system, one.component)
             else:
                 no = No(one.act.command, mavlink.MAV_RESULT_DENIED, f"{one.act.verb}: {outcome.answer.why}")
@@ -432,15 +470,6 @@ class Gateway:
             writer.seq = (writer.seq + 1) % 256
 
 
-def numbered(fleet: Fleet, first_system: int) -> dict[str, int]:
-    """The system of each robot. Raises ConfigError where there are not so many."""
-    last = first_system + len(fleet.robot) - 1
-    if last > MOST_SYSTEMS:
-        text = f"fleet '{fleet.fleet}': MAVLink knows vehicles up to {MOST_SYSTEMS}, and the last robot would be {last}"
-        raise ConfigError(f"{text}; give a smaller --first-system")
-    return {robot: number for number, robot in enumerate(fleet.robot, start=first_system)}
-
-
 def _wants(message: Any) -> int | None:
     """The number of the message that is asked for; None: it is no such question."""
     if message.command == mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES:
@@ -474,11 +503,11 @@ def run(
     systems = numbered(fleet, first_system)
     keys, clock = credentials(fleet, name, fleet_path), fleet_clock(fleet)
     with ExitStack() as stack:
-        stack.enter_context(_held(port, systems))
+        stack.enter_context(held(port, systems))
         _listen(port, systems, stop)
         give = None
         if console is not None:
-            give = stack.enter_context(_ordering(stack.enter_context(OrderConsole(fleet, console, keys))))
+            give = stack.enter_context(_ordering(len(systems), stack.enter_context(OrderConsole(fleet, console, keys))))
         link = stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         link.connect((HOST, port))
         link.settimeout(PERIOD_S)
@@ -491,11 +520,9 @@ def run(
         observer = stack.enter_context(Observer(fleet, clock.now_ns, (STATE, LOG), name, keys))
         said = ", ".join(f"{robot} is system {number}" for robot, number in systems.items())
         say(f"to udp://{HOST}:{port}, where a ground station of this machine listens: {said}; Ctrl-C ends it")
-        reader = mavlink.MAVLink(None)
-        reader.robust_parsing = True
         turned_s = machine.since_boot_s()
         while not stop.is_set():
-            messages, before_s, turned_s = _arrived(link, reader, stop), turned_s, machine.since_boot_s()
+            messages, before_s, turned_s = _arrived(link, stop), turned_s, machine.since_boot_s()
             if turned_s - before_s > STALLED_S:  # nobody knows how old an order of that time is
                 say(f"nothing was done for {turned_s - before_s:.1f} s; what a ground station said then is dropped")
                 messages = _dropped(link)
@@ -509,38 +536,11 @@ def run(
             say(f"{robot}: {kind} left out {count} times: {UNFIT}")
 
 
-@contextmanager
-def _held(port: int, systems: dict[str, int]) -> Iterator[None]:
-    """Hold the numbers of these vehicles at this port against other bridges of this machine, for as long as they live.
-
-    By names of Linux's abstract sockets, which the kernel takes back from who dies. Raises ConfigError.
-    """
-    with ExitStack() as stack:
-        for robot, number in systems.items():
-            name = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
-            try:
-                name.bind(f"\0aucamp mavlink {port} {number}")
-            except OSError as error:
-                if error.errno == errno.EADDRINUSE:
-                    raise ConfigError(_taken(robot, number, "another bridge of this machine", len(systems))) from None
-        yield
-
-
-def _taken(robot: str, number: int, whose: str, many: int) -> str:
-    other = number + many if number + 2 * many - 1 <= MOST_SYSTEMS else 1
-    return (
-        f"{robot} would be system {number}, which {whose} has, and a ground station would take the two for one; "
-        f"give another --first-system, such as {other}"
-    )
-
-
 def _listen(port: int, systems: dict[str, int], stop: Event) -> None:
     """Hear who is there, before anything is said. Raises ConfigError for a vehicle with the number of one of these.
 
     Where a ground station has the port, it alone hears them; if it passes heartbeats on, the gateway minds them.
     """
-    reader = mavlink.MAVLink(None)
-    reader.robust_parsing = True
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ear:
         try:
             ear.bind((HOST, port))
@@ -549,14 +549,14 @@ def _listen(port: int, systems: dict[str, int], stop: Event) -> None:
         ear.settimeout(PERIOD_S)
         end_s = machine.monotonic_s() + LISTEN_S
         while machine.monotonic_s() < end_s and not stop.is_set():
-            for message in _arrived(ear, reader, stop):
+            for message in _arrived(ear, stop):
                 for robot, number in systems.items():
                     if message.get_type() == "HEARTBEAT" and message.get_srcSystem() == number:
-                        raise ConfigError(_taken(robot, number, "another vehicle", len(systems)))
+                        raise ConfigError(taken(robot, number, "another vehicle", len(systems)))
 
 
-def _arrived(link: socket.socket, reader: Any, stop: Event) -> list[Any]:
-    """What the ground station has said within a period."""
+def _arrived(link: socket.socket, stop: Event) -> list[Any]:
+    """What the ground station has said within a period; what is broken in one datagram takes nothing of the next."""
     try:
         data = link.recv(DATAGRAM)
     except TimeoutError:
@@ -564,6 +564,8 @@ def _arrived(link: socket.socket, reader: Any, stop: Event) -> list[Any]:
     except OSError:  # nobody listens there: the system has told the last datagram's sender
         machine.wait(stop, PERIOD_S)
         return []
+    reader = mavlink.MAVLink(None)
+    reader.robust_parsing = True
     return reader.parse_buffer(data) or []
 
 
@@ -576,17 +578,21 @@ def _dropped(link: socket.socket) -> list[Any]:
 
 
 @contextmanager
-def _ordering(console: OrderConsole) -> Iterator[Give]:
-    """Orders, each in a thread, since they wait for their answer."""
-    with ThreadPoolExecutor(2 * MOST_UNDER_WAY) as threads:
+def _ordering(robots: int, console: OrderConsole) -> Iterator[Give]:
+    """Orders, each in a thread, since they wait for their answers, and none behind those to robots that are mute."""
+    with ThreadPoolExecutor(2 * MOST_UNDER_WAY * robots) as threads:
 
-        def give(robot: str, verb: str, done: Done) -> None:
-            def over(future: Future[Outcome]) -> None:
-                error = future.exception()
-                done(Outcome(None, f"could not be given: {error}") if error else future.result())
+        def give(to: Sequence[str], verb: str, seen: Mapping[str, Basis], everybody: bool, told: Told) -> None:
+            def work() -> None:
+                left = set(to)
+                try:
+                    for robot, outcome in console.orders(to, verb, everybody=everybody, seen=seen):
+                        left.discard(robot)
+                        told(robot, outcome)
+                except Exception as error:  # noqa: BLE001 - what is under way has to end
+                    for robot in left:
+                        told(robot, Outcome(None, f"could not be given: {error}"))
 
-            shown = console.states().get(robot)
-            seen = {} if shown is None else {robot: (shown.incarnation, shown.sent_ns)}
-            threads.submit(lambda: dict(console.orders([robot], verb, seen=seen))[robot]).add_done_callback(over)
+            threads.submit(work)
 
         yield give

@@ -1,5 +1,5 @@
 """From a fleet into another network of Zenoh, and never back: which messages are a robot's own, which are recent
-enough, and a State as a vehicle.
+enough, a State as a vehicle, and the numbers of vehicles.
 
 That network is a second session, by their router on this machine. It knows no rules of ours: any process that reaches
 it could say anything, so nothing is heard there.
@@ -7,9 +7,11 @@ it could say anything, so nothing is heard there.
 
 from __future__ import annotations
 
+import errno
 import math
-from collections.abc import Callable, Iterable
-from contextlib import ExitStack, suppress
+import socket
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from threading import Event
 from typing import NamedTuple, Protocol
@@ -18,7 +20,7 @@ from msgspec import UNSET
 
 from agent.clock import machine
 from agent.core.codec import Refusal
-from agent.core.config import Fleet
+from agent.core.config import ConfigError, Fleet
 from agent.core.messages import Message, State
 from agent.core.robot_view import RobotView, in_own_name
 from agent.core.status import FAILSAFE
@@ -122,6 +124,11 @@ class Newest:
             least_ns = min(least_ns, drifted_ns)
         self._heard[state.robot] = _Heard(state, arrived_ns, wall_ns, least_ns)
 
+    def last(self, robot: str) -> State | None:
+        """However old it is."""
+        heard = self._heard.get(robot)
+        return None if heard is None else heard.state
+
     def fresh(self, robot: str, now_ns: int, wall_ns: int) -> State | None:
         """What it said last; None where that is older than three seconds by either clock, as in the burst that a link
         delivers after an outage."""
@@ -197,3 +204,42 @@ def _status(state: State, surfaces: bool) -> int:
     if surfaces or state.mode == "degraded" or state.armed is None:
         return CRITICAL
     return ACTIVE if state.armed else STANDBY
+
+
+# --- numbers of vehicles ---
+
+MOST_SYSTEMS = 250  # ground stations are 255, and other programs about them 254 and so on
+
+
+def numbered(fleet: Fleet, first_system: int) -> dict[str, int]:
+    """The system of each robot. Raises ConfigError where there are not so many."""
+    last = first_system + len(fleet.robot) - 1
+    if last > MOST_SYSTEMS:
+        text = f"fleet '{fleet.fleet}': MAVLink knows vehicles up to {MOST_SYSTEMS}, and the last robot would be {last}"
+        raise ConfigError(f"{text}; give a smaller --first-system")
+    return {robot: number for number, robot in enumerate(fleet.robot, start=first_system)}
+
+
+@contextmanager
+def held(port: int, systems: dict[str, int]) -> Iterator[None]:
+    """Hold the numbers of these vehicles at this port against other bridges of this machine, for as long as they live.
+
+    By names of Linux's abstract sockets, which the kernel takes back from who dies. Raises ConfigError.
+    """
+    with ExitStack() as stack:
+        for robot, number in systems.items():
+            name = stack.enter_context(socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM))
+            try:
+                name.bind(f"\0aucamp mavlink {port} {number}")
+            except OSError as error:
+                if error.errno == errno.EADDRINUSE:
+                    raise ConfigError(taken(robot, number, "another bridge of this machine", len(systems))) from None
+        yield
+
+
+def taken(robot: str, number: int, whose: str, many: int) -> str:
+    other = number + many if number + 2 * many - 1 <= MOST_SYSTEMS else 1
+    return (
+        f"{robot} would be system {number}, which {whose} has, and a ground station would take the two for one; "
+        f"give another --first-system, such as {other}"
+    )

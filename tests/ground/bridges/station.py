@@ -1,13 +1,15 @@
 """A ground station without a socket, before a gateway. For tests that have seen that pymavlink is there."""
 
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.core.config import Fleet
 from agent.core.messages import Answer
-from agent.ground.bridges.mavlink import Done, Gateway, Origin
-from agent.ground.console import Outcome
+from agent.ground.bridges.mavlink import Gateway, Origin, Told
+from agent.ground.console import Basis, Outcome
 from tests.ground.bridges.states import START_NS
 
 ARM, MODE, REQUEST = (
@@ -23,11 +25,18 @@ class Station:
     """A ground station without a socket; robots answer when the test says so."""
 
     def __init__(self, fleet: Fleet, orders: bool = True, first_system: int = 1) -> None:
-        self.given: list[tuple[str, str, Done]] = []
+        self.given: list[tuple[str, str, Callable[[Outcome], None]]] = []
+        self.seen: list[Mapping[str, Basis]] = []  # by which States, of each order
+        self.tell: Told | None = None  # of the newest order
         self.sent: list[bytes] = []
-        give = (lambda robot, verb, done: self.given.append((robot, verb, done))) if orders else None
-        self.gateway = Gateway(fleet, HERE, self.sent.append, give, first_system)
+        self.gateway = Gateway(fleet, HERE, self.sent.append, self._give if orders else None, first_system)
         self._reader, self._writer = mavlink.MAVLink(None), mavlink.MAVLink(None, 255, 190)
+
+    def _give(self, robots: Sequence[str], verb: str, seen: Mapping[str, Basis], everybody: bool, told: Told) -> None:
+        assert everybody == (len(robots) > 1)
+        self.given += [(robot, verb, partial(told, robot)) for robot in robots]
+        self.seen.append(seen)
+        self.tell = told
 
     def says(self, message: Any, system: int | None = None, now_ns: int = START_NS) -> None:
         """As it goes over the wire, to and fro. system: of another vehicle whose word a station passes on."""

@@ -12,7 +12,8 @@ from pymavlink.dialects.v20 import ardupilotmega as mavlink
 
 from agent.core.config import ConfigError, Fleet
 from agent.core.messages import LogLine, Whereabouts
-from agent.ground.bridges.mavlink import MOST_SYSTEMS, READ_ONLY, _held, _listen, numbered
+from agent.ground.bridges.mavlink import MOST_UNDER_WAY, READ_ONLY, RETRY_NS, _listen
+from agent.ground.bridges.outward import MOST_SYSTEMS, held, numbered
 from agent.ground.console import Outcome
 from tests.ground.bridges.states import START_NS, S, state
 from tests.ground.bridges.station import ACCEPTED, ARM, DENIED, MODE, REQUEST, UNSUPPORTED, Station, answer
@@ -174,6 +175,37 @@ def test_one_that_does_not_answer_is_not_acknowledged(station: Station) -> None:
     assert "".join(one.text for _, one in told) == "arm: did not answer within 1 s; the order may still act"
 
 
+def test_an_arm_that_had_no_answer_is_asked_again_by_what_was_seen_at_first(station: Station) -> None:
+    """Ground stations ask again by themselves: it must not undo a stop that somebody ordered meanwhile."""
+    first, later = state("r1"), replace(state("r1"), sent_ns=START_NS + 5)
+    station.gateway.shown(first, START_NS, START_NS)
+    station.command(1, ARM, 1.0)
+    station.given[0][2](Outcome(None, "did not answer within 1 s; the order may still act"))
+    station.gateway.tick(START_NS, START_NS)
+    station.gateway.shown(later, START_NS, START_NS)
+    station.command(1, ARM, 1.0)
+    assert [seen["r1"] for seen in station.seen] == [(first.incarnation, first.sent_ns)] * 2
+    station.given[1][2](answer("r1", False, "it was stopped since; look again"))
+    station.gateway.tick(START_NS, START_NS)
+    station.command(1, ARM, 1.0)
+    assert station.seen[2]["r1"] == (later.incarnation, later.sent_ns), "a person who was told why looks again"
+    station.given[2][2](Outcome(None, "did not answer"))
+    station.gateway.tick(START_NS, START_NS)
+    newest = replace(later, sent_ns=START_NS + 9)
+    station.gateway.shown(newest, START_NS, START_NS)
+    station.says(mavlink.MAVLink_command_long_message(1, 1, ARM, 0, 1.0, *(0.0,) * 6), now_ns=START_NS + RETRY_NS)
+    assert station.seen[3]["r1"] == (newest.incarnation, newest.sent_ns)
+
+
+def test_a_robot_that_the_fleet_file_lacks_is_named_where_all_are_stopped(station: Station) -> None:
+    station.command(0, ARM, 0.0)
+    assert station.tell is not None
+    station.tell("r9", Outcome(None, "r2 hears it, and this fleet file lacks it: it was told nothing"))
+    station.gateway.tick(START_NS, START_NS)
+    told = "".join(one.text for _, one in station.hears("STATUSTEXT"))
+    assert told == "disarm: r9: r2 hears it, and this fleet file lacks it: it was told nothing"
+
+
 def test_all_at_once_may_disarm_and_surface_and_never_arm(station: Station, fleet: Fleet) -> None:
     station.command(0, ARM, 0.0)
     station.command(0, MODE, 1.0, 9.0)
@@ -227,15 +259,19 @@ def test_a_flood_of_other_orders_takes_no_place_of_a_stop(station: Station) -> N
     for number in range(1, 200):
         station._writer.srcSystem = number
         station.command(1, ARM, 1.0)
-    assert station.orders() == [("r1", "arm")] * 64
+    assert station.orders() == [("r1", "arm")] * MOST_UNDER_WAY
+    assert "orders wait for its answer" in "".join(one.text for _, one in station.hears("STATUSTEXT"))
     station.command(1, ARM, 0.0)
     assert station.orders()[-1] == ("r1", "disarm")
 
 
-def test_a_flood_of_stops_does_not_pile_up(station: Station) -> None:
+def test_a_flood_of_stops_does_not_pile_up(station: Station, fleet: Fleet) -> None:
     for _ in range(1000):
         station.command(1, ARM, 0.0)
-    assert 1 <= len(station.given) <= 64
+    assert 1 <= len(station.given) <= MOST_UNDER_WAY
+    station.command(0, ARM, 0.0)
+    others = [robot for robot in fleet.robot if robot != "r1"]
+    assert station.orders()[-len(others) :] == [(robot, "disarm") for robot in others], "each has its own places"
     station.given[0][2](answer("r1"))
     station.gateway.tick(START_NS, START_NS)
     before = len(station.given)
@@ -350,13 +386,13 @@ def test_a_shared_number_is_said_once_and_minded_for_five_seconds(station: Stati
 
 
 def test_two_bridges_of_one_machine_cannot_have_one_number(fleet: Fleet) -> None:
-    with _held(14999, numbered(fleet, 1)):
+    with held(14999, numbered(fleet, 1)):
         last = len(fleet.robot)
         with pytest.raises(ConfigError, match=f"r1 would be system {last}, which another bridge of this machine has"):
-            _held(14999, numbered(fleet, last)).__enter__()
-        with _held(14999, numbered(fleet, 11)), _held(15001, numbered(fleet, 1)):
+            held(14999, numbered(fleet, last)).__enter__()
+        with held(14999, numbered(fleet, 11)), held(15001, numbered(fleet, 1)):
             pass
-    with _held(14999, numbered(fleet, 1)):
+    with held(14999, numbered(fleet, 1)):
         pass
 
 

@@ -133,9 +133,9 @@ def test_one_that_hangs_is_not_acknowledged_and_its_heart_stops(dive) -> None:
 def test_what_a_ground_station_said_while_the_bridge_slept_is_dropped(dive, monkeypatch: pytest.MonkeyPatch) -> None:
     arrived, since_boot_s, slept_s = bridge._arrived, machine.since_boot_s, [0.0]
 
-    def sleeps(link: socket.socket, reader: Any, stop: threading.Event) -> list[Any]:
+    def sleeps(link: socket.socket, stop: threading.Event) -> list[Any]:
         """Once, while an order comes."""
-        messages = arrived(link, reader, stop)
+        messages = arrived(link, stop)
         if not slept_s[0] and any(one.get_type() == "COMMAND_LONG" for one in messages):
             slept_s[0] = 6.0
         return messages
