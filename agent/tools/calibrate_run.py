@@ -19,12 +19,13 @@ from agent.core.ranging.camera_model import Calibration, CameraFit, FocusFit
 from agent.core.ranging.focus import in_direction
 from agent.core.step_io import SetPoint
 from agent.perception.vision import movable
-from agent.process.command import Show, temporary_folder, with_bar, with_spinner
+from agent.process.command import Failed, Show, temporary_folder, with_bar, with_spinner
 from agent.process.launch import crew, wait_for
 from agent.robot.fleet_reader import load_fleet, load_robot
 from agent.tools.bench_calibration import DISTANCES, SETTINGS, Place, Wait, calibrate, setting
 from hw.camera import open_camera
 from hw.camera.camera import Camera
+from hw.module import Module
 from hw.stm32 import open_module
 from hw.twin.calibration_bench import BenchClient
 from hw.twin.twin_folder import twin_dir
@@ -37,6 +38,7 @@ from hw.twin.twin_folder import twin_dir
 
 READY_S = 120.0  # the first start compiles the twin's kernels
 SERVO_S = 1.5  # the servos' longest way
+ANSWERS_S, LOOK_S = 5.0, 0.1  # a board boots in two
 
 
 @contextmanager
@@ -60,32 +62,57 @@ def twin_bench(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place, Wait]]:
 
 @contextmanager
 def bench_by_hand(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place, Wait]]:
-    """A real camera: asks for the board on the terminal. Raises CameraError, ConfigError for a port."""
+    """A real camera: asks for the board on the terminal. Raises CameraError, ConfigError for a port, Failed where no
+    control module answers."""
     robot = fleet.robot[name]
     with ExitStack() as stack:
         camera = open_camera(robot.camera, twin_dir(fleet), size(fleet), mains_hz=fleet.camera.mains_hz)
         stack.callback(camera.close)
         clock = SystemClock()
         module = stack.enter_context(open_module(robot.serial, twin_dir(fleet), clock))
+        wait_for_module(module, robot.serial)
         asked: Vector | None = None
         done = 0 if movable(camera) else DISTANCES
 
         def place(board_m: Vector | None, servos_us: tuple[int, int]) -> None:
             nonlocal asked, done
-            module.send(SetPoint(depth_m=robot.depth_m, servos_us=(*servos_us, 1500, 1500)), clock.now_ns())
+            turn(servos_us)
             if board_m is not None and board_m != asked:
                 x, y, z = board_m
                 where = f"{x:.3f} m ahead of the gimbal's pivot, {y:+.3f} m left, {z:+.3f} m up"
                 input(f"{setting(done)} ({done + 1} of {SETTINGS} in all): put the board {where}; then press Enter ")
                 done += 1
             asked = board_m
-            machine.sleep(SERVO_S)
+
+        def turn(servos_us: tuple[int, int]) -> None:
+            """The gimbal. A module that falls silent is asked for: nothing else shows that the gimbal stands still."""
+            while True:
+                module.drain()
+                module.send(SetPoint(depth_m=robot.depth_m, servos_us=(*servos_us, 1500, 1500)), clock.now_ns())
+                machine.sleep(SERVO_S)
+                telemetry, lines = module.drain()
+                if telemetry:
+                    return
+                why = f" ({lines[-1][1]})" if lines else ""
+                input(f"the control module is silent{why}: put that right, then press Enter ")
 
         def wait(seconds: float) -> int:
             machine.sleep(seconds)
             return machine.monotonic_ns()
 
         yield camera, place, wait
+
+
+def wait_for_module(module: Module, port: str) -> None:
+    """Raises Failed where none answers."""
+    said = "it says nothing"
+    for _ in range(round(ANSWERS_S / LOOK_S)):
+        telemetry, lines = module.drain()
+        if telemetry:
+            return
+        said = lines[-1][1] if lines else said
+        machine.sleep(LOOK_S)
+    raise Failed(f"no control module answers at {port} ({said}), and the gimbal would not turn; correct serial")
 
 
 def size(fleet: Fleet) -> tuple[int, int]:

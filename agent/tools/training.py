@@ -9,9 +9,12 @@ from __future__ import annotations
 
 import copy
 import csv
+import hashlib
 import math
+import os
 from collections.abc import Callable, Iterable, Iterator
 from functools import partial
+from io import BytesIO
 from pathlib import Path
 from pickle import UnpicklingError
 from typing import Any, NamedTuple
@@ -159,7 +162,9 @@ class Point(NamedTuple):
 class Run:
     """A training run between two steps: everything that the next step depends on."""
 
-    def __init__(self, plan: Plan, start: LU2Net | None = None) -> None:
+    def __init__(self, plan: Plan, start: LU2Net | None = None, of: str = "") -> None:
+        """of: what its pairs and its start are known by (`digest`)."""
+        self.of = of
         self.plan, self.step, self.curve = plan, 0, list[Point]()
         with torch.random.fork_rng():
             torch.manual_seed(plan.seed)
@@ -173,23 +178,24 @@ class Run:
     def save(self, file: Path) -> None:
         """A checkpoint; the old one stays whole until the new one is."""
         part = file.with_name(file.name + ".part")
-        torch.save(
-            {
-                "plan": self.plan._asdict(),
-                "step": self.step,
-                "curve": [tuple(point) for point in self.curve],
-                "since": self.since,
-                "net": self.net.state_dict(),
-                "average": self.average.state_dict(),
-                "optimiser": self.optimiser.state_dict(),
-            },
-            part,
-        )
+        kept = {
+            "plan": self.plan._asdict(),
+            "of": self.of,
+            "step": self.step,
+            "curve": [tuple(point) for point in self.curve],
+            "since": self.since,
+            "net": self.net.state_dict(),
+            "average": self.average.state_dict(),
+            "optimiser": self.optimiser.state_dict(),
+        }
+        torch.save(kept, data := BytesIO())  # given a path, it raises no OSError
+        with writing(part):
+            part.write_bytes(data.getbuffer())
         part.replace(file)
 
     @staticmethod
-    def resume(file: Path, plan: Plan) -> Run:
-        """Raises ConfigError if the file is no checkpoint, or one of another plan."""
+    def resume(file: Path, plan: Plan, of: str = "") -> Run:
+        """Raises ConfigError if the file is no checkpoint, or one of another plan, of other pairs or another start."""
         try:
             state: dict[str, Any] = torch.load(file, weights_only=True)
             kept = Plan(**state["plan"])
@@ -197,7 +203,9 @@ class Run:
             raise ConfigError(f"{file}: no checkpoint to go on from; start anew without --resume") from error
         if kept != plan:
             raise ConfigError(f"{file}: was started {started_with(kept, plan)}; give the same, or start anew elsewhere")
-        run = Run(plan)
+        if state.get("of") != of:
+            raise ConfigError(f"{file}: was started with other pairs or another --start; give the same, or start anew")
+        run = Run(plan, of=of)
         run.fresh = False
         run.step, run.curve = state["step"], [Point(*point) for point in state["curve"]]
         run.since = state["since"]
@@ -205,6 +213,15 @@ class Run:
         run.average.load_state_dict(state["average"])
         run.optimiser.load_state_dict(state["optimiser"])
         return run
+
+
+def digest(pairs: Iterable[Pairs], start: Path | None) -> str:
+    """Of what a run is trained on and begins with."""
+    found = hashlib.blake2b(b"" if start is None else start.read_bytes(), digest_size=8)
+    for each in pairs:
+        for image in (*each.raw, *each.target):
+            found.update(image.tobytes())
+    return found.hexdigest()
 
 
 def started_with(kept: Plan, plan: Plan) -> str:
@@ -399,9 +416,12 @@ def train(
     net = lu2net.load(start) if start else None
     out = run_folder(None) / "lu2net.safetensors" if out is None else out
     out.parent.mkdir(parents=True, exist_ok=True)
+    if not os.access(out.parent, os.W_OK):
+        raise ConfigError(f"{out.parent}: cannot be written; give --out another folder")
     checkpoint = checkpoint_of(out)
-    state = Run.resume(checkpoint, plan) if resume else Run(plan, net)
     training, validation = real or _made(out, plan.seed, console)
+    of = digest((training, validation), start)
+    state = Run.resume(checkpoint, plan, of) if resume else Run(plan, net, of)
     console.print(
         f"{len(training.raw)} pairs of {len(set(training.scene))} scenes to train on, "
         f"{len(validation.raw)} of {len(set(validation.scene))} others to validate"

@@ -61,7 +61,7 @@ NAMED = 5  # files in a line; more are counted
 class Folder(NamedTuple):
     """What of a folder are pictures."""
 
-    files: list[Path]  # that can be read, or are named as if they could; in the order of their names
+    files: list[Path]  # that can be read, or are named as if they could; in the order of their names, 9 before 10
     left_out: list[str]  # pictures of other kinds, a line for each
 
 
@@ -70,7 +70,7 @@ def folder_of_pictures(folder: Path) -> Folder:
     if not folder.is_dir():
         raise ConfigError(f"{folder}: no such folder; give a folder of pictures")
     files, left_out = [], []
-    for path in sorted(path for path in folder.iterdir() if not path.name.startswith(".")):
+    for path in sorted((path for path in folder.iterdir() if not path.name.startswith(".")), key=as_numbered):
         kind = _kind(path)
         if kind in OTHER_PICTURES:
             left_out.append(f"{path}: {_unread(kind)}")
@@ -80,6 +80,11 @@ def folder_of_pictures(folder: Path) -> Folder:
         others = f"; {left_out[0].rpartition('/')[2]}" if left_out else f"; it needs {KINDS}"
         raise ConfigError(f"{folder}: no pictures in this folder{others}")
     return Folder(files, left_out)
+
+
+def as_numbered(path: Path) -> list[str | int]:
+    """What files are sorted by so that numbers in their names count as numbers."""
+    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"([0-9]+)", path.name))]
 
 
 def picture_files(folder: Path) -> list[Path]:

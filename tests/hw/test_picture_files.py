@@ -132,6 +132,9 @@ def test_the_pictures_of_a_folder_in_order(tmp_path):
     for name in reversed(names):
         (tmp_path / name).touch()
     assert [path.name for path in picture_files(tmp_path)] == names
+    for name in (numbered := [f"take 2 {k}.png" for k in (9, 10, 11, 100)]):
+        (tmp_path / name).touch()
+    assert [path.name for path in picture_files(tmp_path)] == [*names, *numbered], "numbers count as numbers"
 
 
 # --- what a file says of its picture ---

@@ -7,14 +7,15 @@ import numpy as np
 import pytest
 from msgspec.structs import replace
 
+from agent.clock.clock import SystemClock
 from agent.core.config import Body, Fleet, Pose, Robot, Target
 from agent.core.ranging.camera_model import TimingFit, camera_pose, ray, to_world
 from agent.core.ranging.focus import Peak, h
 from agent.experiments.ball_measurements import PosedRobot
 from agent.perception.vision import TimedCamera, movable
-from agent.process.command import shipped_fleet
+from agent.process.command import Failed, shipped_fleet
 from agent.robot.fleet_reader import load_fleet
-from agent.tools import bench_calibration
+from agent.tools import bench_calibration, calibrate_run
 from agent.tools.bench_calibration import (
     DISTANCES,
     SAG_AT_M,
@@ -35,6 +36,7 @@ from agent.tools.calibrate_run import describe
 from agent.tools.camera_calibration import COLUMNS, ROWS, SQUARE_M, find_corners
 from agent.tools.focus_calibration import CalibrationRefused, FocusRow, fit_focus, fit_timing, told_apart
 from hw.camera.camera import FocusRange, Frame, Roi
+from hw.stm32 import open_module
 from hw.twin.scene import scene_of
 from tests.perception.painted import (
     CAMERA,
@@ -257,6 +259,16 @@ def test_each_setting_has_a_name():
     words = [setting(done) for done in range(SETTINGS + 1)]
     assert len(set(words)) == SETTINGS + 1 and words[2] == "distance 3 of 16" and words[-1] == "done"
     assert words[16] == "view 1 of 14 of the board" and words[-2] == "view up or down 6 of 6"
+
+
+def test_a_bench_without_a_control_module_is_refused_before_a_person_begins(tmp_path, monkeypatch) -> None:
+    """The gimbal would stand still through all settings, and nobody would see it."""
+    monkeypatch.setattr(calibrate_run, "ANSWERS_S", 0.5)
+    port = str(tmp_path / "nothing")
+    with open_module(port, tmp_path, SystemClock()) as module, pytest.raises(Failed) as raised:
+        calibrate_run.wait_for_module(module, port)
+    said = f"no control module answers at {port} ({port}: No such file or directory), and the gimbal would not turn"
+    assert str(raised.value).startswith(said)
 
 
 def test_nothing_to_see_is_refused_with_its_reason(fleet):

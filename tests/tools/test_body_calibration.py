@@ -3,6 +3,7 @@
 import math
 from io import StringIO
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -84,6 +85,26 @@ def test_what_is_no_trial_is_refused() -> None:
 def test_a_moored_robot_has_no_trial() -> None:
     with pytest.raises(Failed, match="was moored; record a robot that swims, with behaviour 'trial'"):
         body_calibration.run(GOLDEN / "three" / "r1.mcap", None, Console(quiet=True))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"misfit": 7.1}, "something else pushed the robot, or one of T5-T8 is dead or turns the wrong way"),
+        ({"lag_s": 0.343}, "thrusters seem to answer after 0.34 s, and 0.12 s is usual"),
+    ],
+)
+def test_a_fit_that_does_not_explain_its_trial_is_written_nowhere(tmp_path, monkeypatch, found, wrong, said) -> None:
+    """As an independent simulation of a lab's body had them: a dead flat thruster, and poses stamped 0.15 s late."""
+    path = tmp_path / "r1.toml"
+    path.write_text(dump(CALIBRATION))
+    before = path.read_bytes()
+    monkeypatch.setattr(body_calibration, "open_box", lambda recording: SimpleNamespace(robot="any"))
+    monkeypatch.setattr(body_calibration, "read_trial", lambda box, show: None)
+    monkeypatch.setattr(body_calibration, "fit_body", lambda trial, progress: replace(found[1], **wrong))
+    with pytest.raises(CalibrationRefused, match=said):
+        body_calibration.run(tmp_path / "r1.mcap", path, Console(quiet=True))
+    assert path.read_bytes() == before and list(tmp_path.iterdir()) == [path]
 
 
 def test_a_fit_stands_in_the_robot_s_file_and_the_file_before_is_kept(tmp_path, found) -> None:

@@ -1,3 +1,5 @@
+import resource
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -21,6 +23,7 @@ from agent.tools.training import (  # noqa: E402
     advance,
     batch,
     between,
+    digest,
     rate,
 )
 
@@ -63,9 +66,33 @@ def test_a_checkpoint_of_another_plan_or_none_is_one_line(tmp_path):
     ):
         with pytest.raises(ConfigError, match=rf"run\.checkpoint: was started {words}, or start anew elsewhere"):
             Run.resume(file, other)
+    Run(TINY, of="these").save(file)
+    with pytest.raises(ConfigError, match="was started with other pairs or another --start"):
+        Run.resume(file, TINY, "those")
     file.write_bytes(b"not a checkpoint")
     with pytest.raises(ConfigError, match="no checkpoint"):
         Run.resume(file, TINY)
+
+
+def test_a_run_is_known_by_its_pairs_and_its_start(pairs, tmp_path):
+    start = tmp_path / "start.safetensors"
+    start.write_bytes(b"weights")
+    other = pairs._replace(target=pairs.target[::-1])
+    found = [digest((pairs, pairs), None), digest((other, pairs), None), digest((pairs, pairs), start)]
+    assert len(set(found)) == 3 and digest((pairs, pairs), None) == found[0]
+
+
+def test_a_disk_that_is_full_is_an_error_of_the_file(tmp_path):
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    handler = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    try:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (1000, limits[1]))
+        with pytest.raises(OSError, match="File too large") as raised:
+            Run(TINY).save(tmp_path / "run.checkpoint")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, handler)
+    assert raised.value.filename == str(tmp_path / "run.checkpoint.part")
 
 
 def test_training_learns(pairs):
@@ -234,4 +261,5 @@ def test_a_slow_training_is_saved_each_minute(pairs, tmp_path, monkeypatch, wait
         training.train(None, tmp_path / "w.safetensors", TINY, None, False, False, Console(quiet=True))
     assert (tmp_path / "w.checkpoint").exists() == kept
     if kept:
-        assert Run.resume(tmp_path / "w.checkpoint", TINY).step == 2
+        of = digest((pairs, pairs.only(np.arange(2))), None)
+        assert Run.resume(tmp_path / "w.checkpoint", TINY, of).step == 2
