@@ -402,7 +402,9 @@ class Gateway:
 
     def _basis(self, one: _Asked, wall_ns: int) -> Basis | None:
         """By which State it was decided: the newest, but of one without an answer that is asked again the first one's,
-        so that it undoes no stop that came between."""
+        so that it undoes no stop that came between. A stop goes by none."""
+        if one.act.verb in URGENT:
+            return None
         self._unanswered = {each: of for each, of in self._unanswered.items() if wall_ns - of[1] < RETRY_NS}
         state = self._newest.last(one.robot)
         if one not in self._unanswered and state is not None:

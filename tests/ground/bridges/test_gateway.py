@@ -185,6 +185,8 @@ def test_an_arm_that_had_no_answer_is_asked_again_by_what_was_seen_at_first(stat
     station.gateway.shown(later, START_NS, START_NS)
     station.command(1, ARM, 1.0)
     assert [seen["r1"] for seen in station.seen] == [(first.incarnation, first.sent_ns)] * 2
+    station.command(1, ARM, 0.0)
+    assert station.seen.pop() == {} and station.given.pop()[1] == "disarm", "a stop goes by nothing that was seen"
     station.given[1][2](answer("r1", False, "it was stopped since; look again"))
     station.gateway.tick(START_NS, START_NS)
     station.command(1, ARM, 1.0)
