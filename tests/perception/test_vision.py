@@ -113,6 +113,42 @@ def test_a_camera_without_focus_refuses_plans_and_goes_on(worker, images):
     assert out.refused == 1 and all(s.sweep == 0 for s in seen)
 
 
+def test_a_lens_that_cannot_be_told_is_a_fault_and_pictures_go_on(worker, images):
+    """A robot finds its way by tags, which it sees without a sweep."""
+    camera = ScriptedCamera(images=images)
+    moves, camera.set_focus = camera.set_focus, broken
+    out = worker(camera)
+    out.plan(SweepPlan(sweep=1, focus=(0, 100, 200)))
+    seen = collect(out, lambda s: len(s) >= 3)
+    assert all(s.sweep == 0 for s in seen) and out.errors == 0
+    assert out.faults == {"no camera": None, "frames frozen": None, "lens": "focus_absolute fails: Input/output error"}
+    camera.set_focus = moves
+    out.plan(SweepPlan(sweep=2, focus=(0, 100, 200)))
+    collect(out, lambda s: any(x.sweep == 2 and x.index == 2 for x in s))
+    assert out.lens is None
+
+
+def broken(position):
+    raise CameraError("focus_absolute fails: Input/output error")
+
+
+def test_a_lens_that_reports_one_position_is_a_fault_until_it_moves(worker, images):
+    camera = ScriptedCamera(images=images)
+    moves, camera.set_focus = camera.set_focus, lambda position: 3
+    out = worker(camera)
+    sweep(out, 1)
+    assert "one position wherever it is told to go" in out.faults["lens"]
+    camera.set_focus = moves
+    sweep(out, 2)
+    assert out.lens is None
+
+
+def sweep(out, number):
+    """To its end: the frame after it is of none."""
+    out.plan(SweepPlan(sweep=number, focus=(0, 100, 200)))
+    collect(out, lambda s: [x.sweep for x in s[-2:]] == [number, 0])
+
+
 def test_what_nobody_fetches_is_bounded_and_counted(worker):
     out = worker(ScriptedCamera(images=lambda _: EMPTY))
     vision.IDLE_PERIOD_S = 0.0  # as fast as it goes; the fixture puts it back
