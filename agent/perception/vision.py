@@ -295,7 +295,7 @@ class Vision:
             try:
                 camera = TimedCamera(self._open_camera(), self._timing, self._camera_ns)
                 try:
-                    self._lens_position, self._frozen_watch = None, FrozenWatch()
+                    self._lens_position, self._frozen_watch, self.lens = None, FrozenWatch(), None
                     while not self._closing:
                         self._work(camera, part)
                         self.fault, pause_s = None, RETRY_S[0]
@@ -340,8 +340,8 @@ class Vision:
             wanted = landmarks.due(self._lens_position)
         if wanted is None:
             return
-        if camera.focus_range() is not None and wanted != self._lens_position:
-            self._move(camera, wanted)
+        if camera.focus_range() is not None and wanted != self._lens_position and not self._move(camera, wanted):
+            return
         if landmarks is not None:
             landmarks.rested(wanted, self._lens_position)
 

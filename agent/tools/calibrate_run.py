@@ -88,10 +88,11 @@ def bench_by_hand(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place, Wait
             """The gimbal. A module that falls silent is asked for: nothing else shows that the gimbal stands still."""
             while True:
                 module.drain()
-                module.send(SetPoint(depth_m=robot.depth_m, servos_us=(*servos_us, 1500, 1500)), clock.now_ns())
-                machine.sleep(SERVO_S)
+                for _ in range(round(SERVO_S / LOOK_S)):
+                    module.send(SetPoint(depth_m=robot.depth_m, servos_us=(*servos_us, 1500, 1500)), clock.now_ns())
+                    machine.sleep(LOOK_S)
                 telemetry, lines = module.drain()
-                if telemetry:
+                if telemetry and telemetry[-1].servos_us[:2] == servos_us:
                     return
                 why = f" ({lines[-1][1]})" if lines else ""
                 input(f"the control module is silent{why}: put that right, then press Enter ")

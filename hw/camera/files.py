@@ -82,9 +82,9 @@ def folder_of_pictures(folder: Path) -> Folder:
     return Folder(files, left_out)
 
 
-def as_numbered(path: Path) -> list[str | int]:
+def as_numbered(path: Path) -> tuple[list[str | int], str]:
     """What files are sorted by so that numbers in their names count as numbers."""
-    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"([0-9]+)", path.name))]
+    return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"([0-9]+)", path.name))], path.name
 
 
 def picture_files(folder: Path) -> list[Path]:

@@ -251,7 +251,9 @@ class Counters(NamedTuple):
 
 
 LOSS_OVER = 10  # STATUS frames, each second one: over so long losses are counted
-LOSSY = 0.02  # share of frames; a sound line loses none, and control stands 15 % each way
+LOSSY, SOUND = 0.02, 0.01  # shares of frames: a fault, and none any more; control stands 15 % each way
+FEWEST = 50  # frames, of which a share says something
+GAP_NS = 1_000_000_000  # of silence, after which it may be another board that speaks: it is greeted anew
 
 
 class Heard(NamedTuple):
@@ -273,7 +275,7 @@ class HostProtocol:
     def __init__(self, host_boot: int) -> None:
         self._arming = Arming()
         self._flags = self._failsafe = 0  # the board's flags and its level of the failsafe, by what it said last
-        self._why = ""  # that level is not 0
+        self._why: tuple[str, ...] = ()  # that level is not 0, one reason after the other
         self._stop: Literal["none", "latched", "rebooting"] = "none"  # an emergency stop of this host's
         self.telemetry: deque[Telemetry] = deque()
         self.lines: deque[StatusText] = deque(maxlen=KEEP_LINES)
@@ -294,6 +296,8 @@ class HostProtocol:
         self._framer = wire.Framer(self._on_frame)
         self._hello = False
         self._stranger = ""  # chip of another board than greeted before
+        self._greets_ns: int | None = None  # since when it is not known who is there
+        self._lossy = False
         self._heard: deque[Heard] = deque(maxlen=LOSS_OVER)
         self._version = wire.OLDEST  # of the protocol that is greeted in: a board tells whether it knows the next
         self._agreed = False  # that it is this one
@@ -336,7 +340,7 @@ class HostProtocol:
         """What is wrong at the board, by its newest telemetry, and on the line to it: kind -> words."""
         found = {kind: words for flag, (kind, words) in FLAGGED.items() if self._flags & flag}
         if self._why and self._failsafe:
-            found["failsafe cause"] = self._why
+            found["failsafe cause"] = ", then ".join(self._why)
         if line := self._line_fault():
             found["tether"] = line
         return found
@@ -347,14 +351,18 @@ class HostProtocol:
                 f"another control module answers at this port, chip {self._stranger}, not {self.greeting.uid}: it is "
                 "told nothing; plug in this robot's, or start this agent again"
             )
-        if len(self._heard) < LOSS_OVER:
+        if not self._lossy:
             return ""
-        first, last = self._heard[0], self._heard[-1]
-        from_board = (last.lost - first.lost) / max(last.ours - first.ours, 1)
-        to_board = (last.broken - first.broken) / max(last.board - first.board, 1)
-        if max(from_board, to_board) < LOSSY:
-            return ""
+        from_board, to_board = self._lost_shares()
         return f"of its frames {from_board:.0%} are lost, of those to it {to_board:.0%}; look at cable and plugs"
+
+    def _lost_shares(self) -> tuple[float, float]:
+        """Of the board's frames, and of those to it."""
+        first, last = self._heard[0], self._heard[-1]
+        return (
+            (last.lost - first.lost) / max(last.ours - first.ours, FEWEST),
+            (last.broken - first.broken) / max(last.board - first.board, FEWEST),
+        )
 
     def set_point(self, asked: SetPoint, now_ns: int) -> bytes:
         """The frame of a set-point, what is beyond the wire's range clipped; none before the board has said which it
@@ -406,8 +414,11 @@ class HostProtocol:
             # a zero first, so that noise before it does not swallow the frame
             out += b"\0" + self._frame(wire.HELLO, self._version, wire.schema_crc(self._version), self._host_boot)
             self._hello_due_ns = now_ns + HELLO_EVERY_NS
-        if self._stranger:
-            return out
+        if not self._hello and self._greets_ns is None:
+            self._greets_ns = now_ns
+        unknown = self._greets_ns is not None and self.greeting is not None and now_ns - self._greets_ns < GAP_NS
+        if self._stranger or unknown:
+            return out  # a stop would be obeyed by whichever board this is
         current = self._orders.current
         idle = self._hello and self._orders.idle
         if idle and self._arming.due(now_ns):
@@ -429,6 +440,9 @@ class HostProtocol:
 
     def receive(self, chunk: bytes, now_ns: int) -> None:
         """Take bytes that arrived at now_ns."""
+        if self._hello and now_ns - self._now_ns > GAP_NS:
+            self._hello = self._agreed = False
+            self._version, self._hello_due_ns = wire.OLDEST, None
         self._now_ns = now_ns
         self._framer.feed(chunk, len(chunk))
 
@@ -474,8 +488,10 @@ class HostProtocol:
         known = self.greeting
         self._stranger = uid.hex() if known is not None and known.uid != uid.hex() else ""
         if self._stranger:
+            self._hello = self._agreed = False
             self.say("error", self._line_fault())
             return
+        self._greets_ns = None
         self.greeting = Greeting(build.decode(errors="replace"), uid.hex(), boot_id, cause, crc, capabilities)
         if boot_id != self._boot_id and self._boot_id is not None:
             if self._stop != "rebooting":
@@ -487,6 +503,7 @@ class HostProtocol:
         if known is not None and known.boot_id != boot_id:
             self._events.clear()  # numbered anew
             self._heard.clear()
+            self._why, self._lossy = (), False
             again, self._set = self._set, {}
             for i, value in again.items():
                 self.ask(wire.PARAM_SET, i, parameters.TABLE[i][4], 0, value)
@@ -498,6 +515,8 @@ class HostProtocol:
             return
         self._say(self._arming.seen(telemetry.armed))
         self._flags, self._failsafe = telemetry.flags, telemetry.ladder
+        if not telemetry.ladder:
+            self._why = ()
         if telemetry.rate_rad_s is not UNSET:
             self._imu_boot = self._boot_id
         sent_ns = self._sent_ns.pop(set_point_seq, None)
@@ -515,6 +534,8 @@ class HostProtocol:
         rx_ok, rx_bad, heap_free_16, _late, _cause, _leak = rest
         counts = self.counters
         self._heard.append(Heard(counts.rx_ok + counts.lost, counts.lost, rx_ok + rx_bad, rx_bad))
+        if len(self._heard) == LOSS_OVER:
+            self._lossy = max(self._lost_shares()) >= (SOUND if self._lossy else LOSSY)
         self._status = {"current_a": current_10ma * 1e-2, "heap_free_b": heap_free_16 * 16}
         if temperature_cc:  # 0: no sensor has told one
             self._status["temperature_c"] = temperature_cc * 1e-2
@@ -551,8 +572,9 @@ class HostProtocol:
             self._say(self._arming.refused(arg))
             return
         self._say(event_line(code, before, after, severity, arg))
-        if code == wire.EV_LADDER:  # who surfaces for a leak stops for having surfaced
-            self._why = f"{self._why}, then {why(arg)}" if before and after and self._why else why(arg) if after else ""
+        if code == wire.EV_LADDER or (code == wire.EV_DISARMED and after == failsafe.LATCHED):
+            earlier = self._why if before else ()  # what surfaces for a leak stops for having surfaced
+            self._why = earlier if why(arg) in earlier[-1:] else (*earlier, why(arg))
 
     def _say(self, line: StatusText | None) -> None:
         if line is not None:

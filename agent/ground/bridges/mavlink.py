@@ -345,7 +345,8 @@ class Gateway:
                 kind_of = getattr(message, "mission_type", 0)
                 self._tell(robot, (mavlink.MAVLink_mission_count_message(*sender, 0, kind_of),))
             elif kind in ("MISSION_COUNT", "MISSION_CLEAR_ALL"):
-                self._tell(robot, (mavlink.MAVLink_mission_ack_message(*sender, mavlink.MAV_MISSION_UNSUPPORTED),))
+                no, kind_of = mavlink.MAV_MISSION_UNSUPPORTED, getattr(message, "mission_type", 0)
+                self._tell(robot, (mavlink.MAVLink_mission_ack_message(*sender, no, kind_of),))
 
     def _stranger(self, message: Any, wall_ns: int) -> None:
         """A heartbeat, which none of ours is: nobody sends us what we sent."""
@@ -401,15 +402,14 @@ class Gateway:
         return True
 
     def _basis(self, one: _Asked, wall_ns: int) -> Basis | None:
-        """By which State it was decided: the newest, but of one without an answer that is asked again the first one's,
-        so that it undoes no stop that came between. A stop goes by none."""
-        if one.act.verb in URGENT:
-            return None
+        """By which State it was decided: the newest, but of an arming without an answer that is asked again the first
+        one's, so that it undoes no stop that came between. A stop goes by none."""
         self._unanswered = {each: of for each, of in self._unanswered.items() if wall_ns - of[1] < RETRY_NS}
         state = self._newest.last(one.robot)
-        if one not in self._unanswered and state is not None:
-            self._unanswered[one] = (state.incarnation, state.sent_ns), wall_ns
-        return self._unanswered[one][0] if one in self._unanswered else None
+        if state is None or one.act.verb in URGENT:
+            return None
+        now = (state.incarnation, state.sent_ns), wall_ns
+        return (self._unanswered.setdefault(one, now) if one.act.verb == "arm" else now)[0]
 
     def _acknowledge(self) -> None:
         """By what robots answered. One that did not gets no acknowledgement: nobody knows."""

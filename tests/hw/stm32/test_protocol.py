@@ -101,6 +101,35 @@ def test_another_board_at_this_port_is_told_nothing_until_the_right_one_is_back(
     assert protocol.set_point(SetPoint(depth_m=0.2), 0) and not protocol.faults
 
 
+def test_a_board_that_comes_after_a_silence_is_asked_who_it_is():
+    """Two tethers that change places behind converters whose ports stay open; both boards were greeted before."""
+    protocol = HostProtocol(1)
+    ours, other = FakeBoard(protocol, boot_id=5), FakeBoard(protocol, boot_id=6)
+    ours.greet(uid=b"twelve bytes")
+    ours.telemetry(armed=1)
+    telemetry = 1, 1, 0, wire.FLAG_HELLO, *[0] * 10, *[1500] * 12, 0, 15000, 0, 0, 0, 0, 0, wire.NO_RATE
+    other.say_at(3000 * MS, wire.TELEM, *telemetry)
+    assert len(protocol.telemetry) == 1 and not protocol.set_point(SetPoint(depth_m=0.2), 0)
+    protocol.stop(wire.ESTOP)
+    assert kinds(protocol.due(3010 * MS)) == [wire.HELLO], "a stop is for our robot"
+    other.greet(uid=b"other twelve")
+    other.telemetry(armed=1)
+    assert "tether" in protocol.faults and not protocol.set_point(SetPoint(depth_m=0.2), 0)
+    assert kinds(protocol.due(9000 * MS)) == [wire.HELLO] and len(protocol.telemetry) == 1
+    ours.greet(uid=b"twelve bytes")
+    assert kinds(protocol.due(9010 * MS)) == [wire.ESTOP] and not protocol.faults
+
+
+def test_a_stop_waits_no_longer_than_a_second_for_a_greeting():
+    protocol = HostProtocol(1)
+    FakeBoard(protocol).greet()
+    protocol.hung_up()
+    protocol.connected()
+    protocol.stop(wire.ESTOP)
+    sent = {ms: kinds(protocol.due(ms * MS)) for ms in range(0, 1100, 100)}
+    assert not any(wire.ESTOP in each for ms, each in sent.items() if ms < 1000) and wire.ESTOP in sent[1000]
+
+
 def test_what_flags_say_and_why_it_surfaces_are_faults_as_long_as_they_last():
     protocol = HostProtocol(1)
     board = FakeBoard(protocol)
@@ -118,8 +147,14 @@ def test_what_flags_say_and_why_it_surfaces_are_faults_as_long_as_they_last():
     assert not protocol.faults
     assert level(0, 2, "leak")["failsafe cause"] == "leak" and "leak" in protocol.faults
     assert level(2, 3, "surfaced")["failsafe cause"] == "leak, then surfaced"
-    assert not level(3, 0, "order")
+    board.telemetry()  # armed again, which no event of the ladder tells
+    assert not protocol.faults
     assert level(0, 1, "host silent")["failsafe cause"] == "host silent"
+    assert level(1, 2, "host silent")["failsafe cause"] == "host silent"
+    board.telemetry()
+    board.say(wire.EVENT, 0, wire.EV_DISARMED, 0, failsafe.LATCHED, 2, wire.REASONS.index("emergency stop"), 99)
+    board.telemetry(ladder=failsafe.LATCHED)
+    assert protocol.faults == {"failsafe cause": "emergency stop"}
 
 
 @pytest.mark.parametrize(("lost", "broken", "said"), [(0, 0, ""), (12, 0, "12% are lost"), (0, 30, "to it 30%")])
