@@ -171,7 +171,6 @@ def surfacing_for_silence(telemetry: Telemetry) -> bool:
 
 # --- arming ---
 
-
 # Refusals that go away while the robot just waits; each other one needs a person to do something.
 CURABLE = frozenset(
     {

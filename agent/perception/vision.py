@@ -354,7 +354,8 @@ class Vision:
         except CameraError as error:
             self.lens = str(error)
             return False
-        self.lens = self.lens if self.lens == STANDS else None
+        if self.lens != STANDS:  # which a whole sweep alone shows to be over
+            self.lens = None
         return True
 
     def _survey(self, camera: TimedCamera, plan: SweepPlan, part: Part) -> None:

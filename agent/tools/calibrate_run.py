@@ -85,7 +85,7 @@ def bench_by_hand(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place, Wait
             asked = board_m
 
         def turn(servos_us: tuple[int, int]) -> None:
-            """The gimbal. A module that falls silent is asked for: nothing else shows that the gimbal stands still."""
+            """The gimbal. Where the module does not say that it does, a person is asked: nothing else shows it."""
             while True:
                 module.drain()
                 for _ in range(round(SERVO_S / LOOK_S)):
@@ -94,8 +94,8 @@ def bench_by_hand(fleet: Fleet, name: str) -> Iterator[tuple[Camera, Place, Wait
                 telemetry, lines = module.drain()
                 if telemetry and telemetry[-1].servos_us[:2] == servos_us:
                     return
-                why = f" ({lines[-1][1]})" if lines else ""
-                input(f"the control module is silent{why}: put that right, then press Enter ")
+                why = f" ({lines[-1].text})" if lines else ""
+                input(f"the control module does not turn the gimbal{why}: put that right, then press Enter ")
 
         def wait(seconds: float) -> int:
             machine.sleep(seconds)
@@ -111,7 +111,7 @@ def wait_for_module(module: Module, port: str) -> None:
         telemetry, lines = module.drain()
         if telemetry:
             return
-        said = lines[-1][1] if lines else said
+        said = lines[-1].text if lines else said
         machine.sleep(LOOK_S)
     raise Failed(f"no control module answers at {port} ({said}), and the gimbal would not turn; correct serial")
 

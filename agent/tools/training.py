@@ -29,7 +29,7 @@ from torch import Tensor
 from torch.nn import functional as fn
 
 from agent.clock import machine
-from agent.core.config import ConfigError, writing
+from agent.core.config import ConfigError, write_whole, writing
 from agent.perception.enhancement import lu2net
 from agent.perception.enhancement.enhance import clahe, classic, network_enhancer, white_balance
 from agent.perception.enhancement.lu2net import LU2Net, run
@@ -177,7 +177,6 @@ class Run:
 
     def save(self, file: Path) -> None:
         """A checkpoint; the old one stays whole until the new one is."""
-        part = file.with_name(file.name + ".part")
         kept = {
             "plan": self.plan._asdict(),
             "of": self.of,
@@ -189,9 +188,7 @@ class Run:
             "optimiser": self.optimiser.state_dict(),
         }
         torch.save(kept, data := BytesIO())  # given a path, it raises no OSError
-        with writing(part):
-            part.write_bytes(data.getbuffer())
-        part.replace(file)
+        write_whole(file, data.getvalue())
 
     @staticmethod
     def resume(file: Path, plan: Plan, of: str = "") -> Run:

@@ -256,13 +256,13 @@ FEWEST = 50  # frames, of which a share says something
 GAP_NS = 1_000_000_000  # of silence, after which it may be another board that speaks: it is greeted anew
 
 
-class Heard(NamedTuple):
+class FrameCounts(NamedTuple):
     """Frames up to a STATUS."""
 
-    ours: int = 0  # of the board, as its numbers count them
-    lost: int = 0  # of those
-    board: int = 0  # of this host, as the board counts them
-    broken: int = 0  # of those
+    ours: int  # of the board, as its numbers count them
+    lost: int  # of those
+    board: int  # of this host, as the board counts them
+    broken: int  # of those
 
 
 class HostProtocol:
@@ -298,7 +298,7 @@ class HostProtocol:
         self._stranger = ""  # chip of another board than greeted before
         self._greets_ns: int | None = None  # since when it is not known who is there
         self._lossy = False
-        self._heard: deque[Heard] = deque(maxlen=LOSS_OVER)
+        self._frame_counts: deque[FrameCounts] = deque(maxlen=LOSS_OVER)
         self._version = wire.OLDEST  # of the protocol that is greeted in: a board tells whether it knows the next
         self._agreed = False  # that it is this one
         self._hello_due_ns: int | None = None
@@ -358,7 +358,7 @@ class HostProtocol:
 
     def _lost_shares(self) -> tuple[float, float]:
         """Of the board's frames, and of those to it."""
-        first, last = self._heard[0], self._heard[-1]
+        first, last = self._frame_counts[0], self._frame_counts[-1]
         return (
             (last.lost - first.lost) / max(last.ours - first.ours, FEWEST),
             (last.broken - first.broken) / max(last.board - first.board, FEWEST),
@@ -502,7 +502,7 @@ class HostProtocol:
         self.say("info", f"board {self.greeting.build}, boot {boot_id:08x}")
         if known is not None and known.boot_id != boot_id:
             self._events.clear()  # numbered anew
-            self._heard.clear()
+            self._frame_counts.clear()
             self._why, self._lossy = (), False
             again, self._set = self._set, {}
             for i, value in again.items():
@@ -533,8 +533,8 @@ class HostProtocol:
     ) -> None:
         rx_ok, rx_bad, heap_free_16, _late, _cause, _leak = rest
         counts = self.counters
-        self._heard.append(Heard(counts.rx_ok + counts.lost, counts.lost, rx_ok + rx_bad, rx_bad))
-        if len(self._heard) == LOSS_OVER:
+        self._frame_counts.append(FrameCounts(counts.rx_ok + counts.lost, counts.lost, rx_ok + rx_bad, rx_bad))
+        if len(self._frame_counts) == LOSS_OVER:
             self._lossy = max(self._lost_shares()) >= (SOUND if self._lossy else LOSSY)
         self._status = {"current_a": current_10ma * 1e-2, "heap_free_b": heap_free_16 * 16}
         if temperature_cc:  # 0: no sensor has told one

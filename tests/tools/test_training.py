@@ -92,7 +92,7 @@ def test_a_disk_that_is_full_is_an_error_of_the_file(tmp_path):
     finally:
         resource.setrlimit(resource.RLIMIT_FSIZE, limits)
         signal.signal(signal.SIGXFSZ, handler)
-    assert raised.value.filename == str(tmp_path / "run.checkpoint.part")
+    assert raised.value.filename == str(tmp_path / "run.checkpoint") and not list(tmp_path.iterdir())
 
 
 def test_training_learns(pairs):

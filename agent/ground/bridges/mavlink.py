@@ -363,8 +363,9 @@ class Gateway:
     def _order(self, robots: Sequence[str], message: Any, everybody: bool, wall_ns: int) -> None:
         """Give it to those of these robots that may have it."""
         sender, begun = (message.get_srcSystem(), message.get_srcComponent()), dict[str, _Asked]()
+        act = asked(message)
         for robot in robots:
-            what = self._allowed(robot, message, wall_ns)
+            what = self._allowed(robot, act, wall_ns)
             if isinstance(what, No):
                 self._deny(robot, what, *sender)
             elif self._begin(one := _Asked(robot, what, *sender)):
@@ -379,8 +380,7 @@ class Gateway:
 
         self._give(list(begun), some.act.verb, seen, everybody, told)
 
-    def _allowed(self, robot: str, message: Any, wall_ns: int) -> Act | No:
-        what = asked(message)
+    def _allowed(self, robot: str, what: Act | No, wall_ns: int) -> Act | No:
         if isinstance(what, Act) and what.verb not in URGENT and self._is_taken(robot, wall_ns):
             why = f"another vehicle is system {self.systems[robot]} too; start a bridge with another --first-system"
             what = No(what.command, mavlink.MAV_RESULT_DENIED, why)

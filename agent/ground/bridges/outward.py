@@ -238,6 +238,7 @@ def held(port: int, systems: dict[str, int]) -> Iterator[None]:
 
 
 def taken(robot: str, number: int, whose: str, many: int) -> str:
+    """What is said where somebody has a robot's number already; many: robots of the fleet."""
     other = number + many if number + 2 * many - 1 <= MOST_SYSTEMS else 1
     return (
         f"{robot} would be system {number}, which {whose} has, and a ground station would take the two for one; "

@@ -23,13 +23,13 @@ class FakeBoard:
         self.say(wire.HELLO_ACK, version, schema, b"testtest", uid, self.boot_id, 1, 0, 0, count, can)
 
     def telemetry(
-        self, armed: int = 0, flags: int = wire.FLAG_HELLO, rate: int = wire.NO_RATE, ladder: int = 0
+        self, armed: int = 0, flags: int = wire.FLAG_HELLO, rate: int = wire.NO_RATE, ladder: int = 0, now_ns: int = 1
     ) -> None:
         fields = 1, armed, ladder, flags, *[0] * 10, *[1500] * 12, 0, 15000, 0, 0, 0, 0, 0
         if self.version == 1:
-            self.say(wire.TELEM_1, *fields)
+            self.say_at(now_ns, wire.TELEM_1, *fields)
         else:
-            self.say(wire.TELEM, *fields, rate)
+            self.say_at(now_ns, wire.TELEM, *fields, rate)
 
     def say(self, kind: int, *fields) -> None:
         self.say_at(1, kind, *fields)

@@ -107,8 +107,7 @@ def test_a_board_that_comes_after_a_silence_is_asked_who_it_is():
     ours, other = FakeBoard(protocol, boot_id=5), FakeBoard(protocol, boot_id=6)
     ours.greet(uid=b"twelve bytes")
     ours.telemetry(armed=1)
-    telemetry = 1, 1, 0, wire.FLAG_HELLO, *[0] * 10, *[1500] * 12, 0, 15000, 0, 0, 0, 0, 0, wire.NO_RATE
-    other.say_at(3000 * MS, wire.TELEM, *telemetry)
+    other.telemetry(armed=1, now_ns=3000 * MS)
     assert len(protocol.telemetry) == 1 and not protocol.set_point(SetPoint(depth_m=0.2), 0)
     protocol.stop(wire.ESTOP)
     assert kinds(protocol.due(3010 * MS)) == [wire.HELLO], "a stop is for our robot"
